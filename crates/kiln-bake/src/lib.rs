@@ -1,0 +1,1 @@
+//! Surface samples and per-face moments: pure functions over a Tracer.

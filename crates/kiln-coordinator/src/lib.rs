@@ -1,0 +1,1 @@
+//! The coordinator: gRPC services over the scheduler and the store.

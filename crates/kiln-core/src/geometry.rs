@@ -1,0 +1,121 @@
+//! Meshes as Kiln works on them: cleaned, with faces in Morton order, in object space.
+
+use glam::{DVec3, Vec3};
+use serde::{Deserialize, Serialize};
+
+/// What a piece of geometry is to the bake.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Default)]
+#[serde(rename_all = "lowercase")]
+pub enum Class {
+    /// Ordinary geometry: occludes and receives.
+    #[default]
+    Opaque,
+    /// Far scenery: occludes and receives, with few samples.
+    Distant,
+    /// Neither occludes nor receives.
+    Ignored,
+    /// A tree (baked as opaque geometry until foliage is supported).
+    Tree,
+    /// A shrub (baked as opaque geometry until foliage is supported).
+    Shrub,
+    /// A small decorator such as grass (baked as opaque geometry until foliage is supported).
+    Decorator,
+}
+
+/// What faces of one primitive have in common.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct FaceGroup {
+    /// The class that the rules give.
+    pub class: Class,
+    /// The material is double-sided: hits on either side count as front, and both sides receive.
+    pub double_sided: bool,
+    /// Rays are stopped by these faces.
+    pub occludes: bool,
+    /// These faces get samples.
+    pub receives: bool,
+    /// A cap on the samples per face that a rule sets.
+    pub max_samples_per_face: Option<u32>,
+}
+
+/// A mesh in object space, metres before the instance's transform.
+///
+/// Faces are in Morton order of their centroids, so that a contiguous range is compact; vertices are in the
+/// order of the source. Positions are finite, indices in range, no face is degenerate and no two faces of one
+/// mesh have the same corners, facing and group.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Default)]
+pub struct Mesh {
+    /// Vertex positions.
+    pub positions: Vec<[f32; 3]>,
+    /// Unit shading normals, one per vertex; zero where the source has none or an invalid one.
+    pub normals: Vec<[f32; 3]>,
+    /// Vertex indices of each face, counter-clockwise seen from the front.
+    pub faces: Vec<[u32; 3]>,
+    /// Index into `groups` for each face.
+    pub face_group: Vec<u16>,
+    /// What faces have in common; at most 65,536.
+    pub groups: Vec<FaceGroup>,
+}
+
+impl Mesh {
+    /// The three corners of a face, object space.
+    pub fn corners(&self, face: usize) -> [Vec3; 3] {
+        self.faces[face].map(|vertex| Vec3::from_array(self.positions[vertex as usize]))
+    }
+
+    /// The group of a face.
+    pub fn group(&self, face: usize) -> &FaceGroup {
+        &self.groups[usize::from(self.face_group[face])]
+    }
+
+    /// Bounds of the positions that faces use.
+    pub fn bounds(&self) -> Bounds {
+        let mut bounds = Bounds::EMPTY;
+        for face in 0..self.faces.len() {
+            for corner in self.corners(face) {
+                bounds.add(corner.as_dvec3());
+            }
+        }
+        bounds
+    }
+}
+
+/// An axis-aligned box; empty where `min > max`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Bounds {
+    /// Least corner, metres.
+    pub min: DVec3,
+    /// Greatest corner, metres.
+    pub max: DVec3,
+}
+
+impl Bounds {
+    /// Contains nothing.
+    pub const EMPTY: Self = Self { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
+
+    /// Grows the box to contain a point.
+    pub fn add(&mut self, point: DVec3) {
+        self.min = self.min.min(point);
+        self.max = self.max.max(point);
+    }
+
+    /// Grows the box to contain another.
+    pub fn merge(&mut self, other: &Self) {
+        self.min = self.min.min(other.min);
+        self.max = self.max.max(other.max);
+    }
+
+    /// Whether the box contains no point.
+    pub fn is_empty(&self) -> bool {
+        !(self.min.x <= self.max.x && self.min.y <= self.max.y && self.min.z <= self.max.z)
+    }
+
+    /// Length of the diagonal, metres; 0 for an empty box.
+    pub fn diagonal(&self) -> f64 {
+        if self.is_empty() { 0.0 } else { (self.max - self.min).length() }
+    }
+
+    /// Centre of the box; the origin for an empty one.
+    pub fn center(&self) -> DVec3 {
+        if self.is_empty() { DVec3::ZERO } else { 0.5 * (self.min + self.max) }
+    }
+}

@@ -1,0 +1,28 @@
+//! Digests, settings and the plain data types that every Kiln crate shares.
+//!
+//! Nothing here does I/O or knows of async: a [`Level`] is what was imported, a [`TaskGraph`] is what must be
+//! done to bake it, [`FaceMoments`] is what tracing brings back and [`Solution`] what solving does. Artefacts
+//! travel and are stored in the encoding of [`codec`].
+
+pub mod codec;
+mod digest;
+mod geometry;
+mod level;
+mod moments;
+mod settings;
+mod solution;
+mod task;
+
+pub use digest::{Digest, DigestBuilder, ParseDigestError};
+pub use geometry::{Bounds, Class, FaceGroup, Mesh};
+pub use level::{Instance, Level, LevelCounts, MeshEntry, VertexBlock, Warning};
+pub use moments::{FaceMoments, HalfMoments, MomentsError, TraceSummary};
+pub use settings::{
+    Attribute, BakeSettings, ColorMode, Kernel, MAX_CHANNELS, OutputSettings, Quality, Remap, Sampling, SolveSettings,
+    ValueFormat,
+};
+pub use solution::{ComponentMethod, ErrorEstimate, Solution, SolveSummary};
+pub use task::{
+    BakeSummary, Baked, ExportSpec, Lane, MeshSummary, PlanSpec, SolveTask, SourceFile, SourceManifest, TaskGraph,
+    TaskKey, TaskKind, TaskSpec, TraceTask,
+};

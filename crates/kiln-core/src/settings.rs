@@ -1,0 +1,244 @@
+//! What a person may set, and what it resolves to.
+
+use serde::{Deserialize, Serialize};
+
+/// The most half-distances that one bake computes: the components of a VEC4.
+pub const MAX_CHANNELS: usize = 4;
+
+/// How much work a bake does, and so how small its error is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
+#[serde(rename_all = "lowercase")]
+pub enum Quality {
+    /// A quick look; target RMSE .016.
+    Low,
+    /// For the game; target RMSE .006.
+    #[default]
+    Medium,
+    /// For a release; target RMSE .003.
+    High,
+    /// To compare others with: at least 64 samples and 16,384 rays per face, whose positions no other quality uses.
+    Reference,
+}
+
+impl Quality {
+    /// Mean number of samples per face, over the faces of an instance.
+    pub const fn mean_samples_per_face(self) -> f64 {
+        match self {
+            Self::Low => 2.0,
+            Self::Medium => 4.0,
+            Self::High => 16.0,
+            Self::Reference => 64.0,
+        }
+    }
+
+    /// Most samples of one face.
+    pub const fn max_samples_per_face(self) -> u32 {
+        match self {
+            Self::Low => 16,
+            Self::Medium | Self::High => 64,
+            Self::Reference => 256,
+        }
+    }
+
+    /// Least samples of one face: even, so that the two halves get as many.
+    pub const fn min_samples_per_face(self) -> u32 {
+        match self {
+            Self::Reference => 64,
+            _ => 2,
+        }
+    }
+
+    /// Rays of one sample.
+    pub const fn rays_per_sample(self) -> u32 {
+        match self {
+            Self::Low => 16,
+            Self::Medium | Self::High => 32,
+            Self::Reference => 256,
+        }
+    }
+}
+
+/// The value of a ray as a function of the distance to what it hits.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Kernel {
+    /// `1 − 2^(−t/d)` for each half-distance d, metres (Sloan et al. 2013, equation 1).
+    Obscurance {
+        /// The half-distances, metres, at most [`MAX_CHANNELS`].
+        half_distances_m: Vec<f64>,
+    },
+    /// 0 for a hit nearer than the ray distance, else 1.
+    Occlusion {
+        /// Metres; may be infinite.
+        ray_distance_m: f64,
+    },
+}
+
+impl Kernel {
+    /// How many values each sample has.
+    pub fn channel_count(&self) -> usize {
+        match self {
+            Self::Obscurance { half_distances_m } => half_distances_m.len(),
+            Self::Occlusion { .. } => 1,
+        }
+    }
+
+    /// Distance beyond which a hit changes a ray's value by less than `epsilon`, metres.
+    pub fn reach_m(&self, epsilon: f64) -> f64 {
+        match self {
+            Self::Obscurance { half_distances_m } => {
+                half_distances_m.iter().fold(0.0, |d: f64, &h| d.max(h)) * (1.0 / epsilon).log2()
+            }
+            Self::Occlusion { ray_distance_m } => *ray_distance_m,
+        }
+    }
+}
+
+/// What a person asks for. Absent values are resolved at import, from the sidecar, the quality or the level.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BakeSettings {
+    /// Sets the counts that are not given.
+    pub quality: Quality,
+    /// Half-distances, metres; from the sidecar or the level's size if absent.
+    pub half_distances_m: Option<Vec<f64>>,
+    /// Plain occlusion with this ray distance, metres, in place of obscurance.
+    pub occlusion_ray_distance_m: Option<f64>,
+    /// Rays per sample, a power of two from 1 to 65,536.
+    pub rays_per_sample: Option<u32>,
+    /// Samples per square metre.
+    pub density_per_m2: Option<f64>,
+    /// Most samples of one face.
+    pub max_samples_per_face: Option<u32>,
+    /// A sample with a greater fraction of back-face hits is invalid.
+    pub back_face_limit: f64,
+    /// Weight α of the edge regulariser, without unit.
+    pub regularization: f64,
+    /// Adds a plane under the level that occludes.
+    pub ground_plane: bool,
+    /// Drops faces with non-finite positions or indices out of range, instead of refusing the file.
+    pub drop_bad_faces: bool,
+    /// Gives values only to nodes, meshes or materials whose name matches.
+    pub only: Option<String>,
+    /// Another seed gives another, equally good result.
+    pub seed: u64,
+    /// What is written.
+    pub output: OutputSettings,
+}
+
+impl Default for BakeSettings {
+    fn default() -> Self {
+        Self {
+            quality: Quality::default(),
+            half_distances_m: None,
+            occlusion_ray_distance_m: None,
+            rays_per_sample: None,
+            density_per_m2: None,
+            max_samples_per_face: None,
+            back_face_limit: 0.25,
+            regularization: 1.0,
+            ground_plane: false,
+            drop_bad_faces: false,
+            only: None,
+            seed: 0,
+            output: OutputSettings::default(),
+        }
+    }
+}
+
+/// Settings of sampling and tracing, resolved.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Sampling {
+    /// The value of a ray.
+    pub kernel: Kernel,
+    /// Rays per sample, a power of two.
+    pub rays_per_sample: u32,
+    /// Mean samples per face that the density is chosen for, where none is given.
+    pub mean_samples_per_face: f64,
+    /// Samples per square metre, if fixed.
+    pub density_per_m2: Option<f64>,
+    /// Least samples of one face, even and at least 2.
+    pub min_samples_per_face: u32,
+    /// Most samples of one face, even.
+    pub max_samples_per_face: u32,
+    /// A sample with a greater fraction of back-face hits is invalid.
+    pub back_face_limit: f64,
+    /// Mixed into every scramble; a reference bake's differs from every other quality's.
+    pub seed: u64,
+    /// Height of a plane that occludes, relative to the origin, metres along +y, if wanted.
+    pub ground_plane_y_m: Option<f64>,
+}
+
+/// Settings of the solve, resolved.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SolveSettings {
+    /// Weight α of the edge regulariser, without unit (20-least-squares normalisation, S = (A1 + A2)/3).
+    pub regularization: f64,
+    /// Weight μ of the anchor towards the local average.
+    pub anchor: f64,
+    /// Vertices at one position whose normals are within this angle, degrees, are one unknown.
+    pub weld_degrees: f64,
+}
+
+impl Default for SolveSettings {
+    fn default() -> Self {
+        Self { regularization: 1.0, anchor: 1e-3, weld_degrees: 15.0 }
+    }
+}
+
+/// Which attributes are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "lowercase")]
+pub enum Attribute {
+    /// `_AO`, one component for each half-distance.
+    #[default]
+    Ao,
+    /// `COLOR_0`, the blend of the half-distances as grey.
+    Color,
+    /// Both.
+    Both,
+}
+
+/// What to do where a COLOR_0 exists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ColorMode {
+    /// The colour is multiplied by the AO.
+    Multiply,
+    /// The AO takes the colour's place.
+    Replace,
+}
+
+/// Component type of `_AO`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Default)]
+#[serde(rename_all = "lowercase")]
+pub enum ValueFormat {
+    /// 32-bit floats.
+    #[default]
+    F32,
+    /// Normalised 16-bit unsigned integers.
+    U16,
+}
+
+/// A curve applied to the blend that is written as a colour.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Remap {
+    /// `ao^gamma`.
+    Gamma(f64),
+    /// Piecewise linear through (input, output) points with rising inputs.
+    Curve(Vec<[f64; 2]>),
+}
+
+/// What is written.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Default)]
+pub struct OutputSettings {
+    /// Which attributes.
+    pub attribute: Attribute,
+    /// Component type of `_AO`.
+    pub format: ValueFormat,
+    /// What to do where a COLOR_0 exists; must be given if one does.
+    pub color: Option<ColorMode>,
+    /// Weight of each half-distance in the blend; from the sidecar, or `.03, .97`, if absent.
+    pub blend: Option<Vec<f64>>,
+    /// A curve applied to the blend.
+    pub remap: Option<Remap>,
+}

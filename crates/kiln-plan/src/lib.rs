@@ -1,0 +1,1 @@
+//! Builds the graph of tasks that a level needs, and their keys.

@@ -1,0 +1,1 @@
+//! Kiln's gRPC types and their conversions to domain types.

@@ -1,0 +1,1 @@
+//! A pure, synchronous scheduler of jobs, tasks and leases.

@@ -1,0 +1,1 @@
+//! Artefacts by digest, results by task key, and the journal.

@@ -1,0 +1,1 @@
+//! A worker: leases tasks, runs them and streams results back.
