@@ -117,6 +117,22 @@ impl DigestBuilder {
     }
 }
 
+/// A digest of bytes that arrive in parts: equal to [`Digest::of`] over all of them.
+#[derive(Clone, Debug, Default)]
+pub struct DigestStream(blake3::Hasher);
+
+impl DigestStream {
+    /// Adds the next bytes.
+    pub fn update(&mut self, bytes: &[u8]) {
+        self.0.update(bytes);
+    }
+
+    /// The digest of all bytes so far.
+    pub fn finish(&self) -> Digest {
+        Digest(*self.0.finalize().as_bytes())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -127,6 +143,14 @@ mod tests {
         assert_eq!(digest.to_string().parse::<Digest>(), Ok(digest));
         assert!("xyz".parse::<Digest>().is_err());
         assert!("é".repeat(32).parse::<Digest>().is_err());
+    }
+
+    #[test]
+    fn parts_give_the_digest_of_the_whole() {
+        let bytes: Vec<u8> = (0..100_000u32).map(|i| (i * i) as u8).collect();
+        let mut stream = DigestStream::default();
+        bytes.chunks(777).for_each(|part| stream.update(part));
+        assert_eq!(stream.finish(), Digest::of(&bytes));
     }
 
     #[test]

@@ -13,7 +13,7 @@ mod settings;
 mod solution;
 mod task;
 
-pub use digest::{Digest, DigestBuilder, ParseDigestError};
+pub use digest::{Digest, DigestBuilder, DigestStream, ParseDigestError};
 pub use geometry::{Bounds, Class, FaceGroup, Mesh};
 pub use level::{Instance, Level, LevelCounts, MeshEntry, VertexBlock, Warning};
 pub use moments::{FaceMoments, HalfMoments, MomentsError, TraceSummary};
@@ -23,6 +23,6 @@ pub use settings::{
 };
 pub use solution::{ComponentMethod, ErrorEstimate, Solution, SolveSummary};
 pub use task::{
-    BakeSummary, Baked, ExportSpec, Lane, MeshSummary, PlanSpec, SolveTask, SourceFile, SourceManifest, TaskGraph,
+    BakeSummary, Baked, ExportSpec, JobId, Lane, MeshSummary, PlanSpec, SolveTask, SourceFile, SourceManifest, TaskGraph,
     TaskKey, TaskKind, TaskSpec, TraceTask,
 };

@@ -1,0 +1,89 @@
+//! Cosine-distributed directions from points of the unit square.
+//!
+//! Sources: Shirley and Chiu 1997 (concentric map), Malley's method (lifting the disk), Duff et al. 2017 (basis
+//! from one vector). Sine and cosine are our own polynomials, since GPU and platform versions differ;
+//! `kiln-gpu` has the same functions in WGSL (`sampling.wgsl`): keep them in sync. Both agree to 4 ULP.
+
+use glam::Vec3;
+
+/// Sine and cosine for |x| ≤ π/4: Taylor polynomials, absolute error below 4e-8 before rounding.
+fn sin_cos_quarter(x: f32) -> (f32, f32) {
+    let s = x * x;
+    let sine = x * (1.0 + s * (-1.0 / 6.0 + s * (1.0 / 120.0 + s * (-1.0 / 5040.0))));
+    let cosine = 1.0 + s * (-0.5 + s * (1.0 / 24.0 + s * (-1.0 / 720.0 + s * (1.0 / 40320.0))));
+    (sine, cosine)
+}
+
+/// A direction about +z with density cos θ / π, from a point of the unit square: area-preserving and continuous.
+fn cosine_about_z([u, v]: [f32; 2]) -> Vec3 {
+    let (a, b) = (2.0 * u - 1.0, 2.0 * v - 1.0);
+    let (x, y, r) = if a.abs() > b.abs() {
+        let (sine, cosine) = sin_cos_quarter(std::f32::consts::FRAC_PI_4 * (b / a));
+        (a * cosine, a * sine, a)
+    } else if b == 0.0 {
+        (0.0, 0.0, 0.0)
+    } else {
+        let (sine, cosine) = sin_cos_quarter(std::f32::consts::FRAC_PI_4 * (a / b));
+        (b * sine, b * cosine, b)
+    };
+    Vec3::new(x, y, (1.0 - r * r).max(0.0).sqrt())
+}
+
+/// Two unit vectors that make an orthonormal basis with the unit vector `n` (Duff et al. 2017).
+pub fn orthonormal_basis(n: Vec3) -> (Vec3, Vec3) {
+    let sign = if n.z >= 0.0 { 1.0 } else { -1.0 };
+    let a = -1.0 / (sign + n.z);
+    let b = n.x * n.y * a;
+    (Vec3::new(1.0 + sign * n.x * n.x * a, sign * b, -sign * n.x), Vec3::new(b, sign + n.y * n.y * a, -n.y))
+}
+
+/// A unit direction about the normal with density cos θ / π. `basis` is [`orthonormal_basis`] of the normal.
+pub fn cosine_direction(point: [f32; 2], normal: Vec3, basis: (Vec3, Vec3)) -> Vec3 {
+    let local = cosine_about_z(point);
+    basis.0 * local.x + basis.1 * local.y + normal * local.z
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn polynomials_match() {
+        for i in -1000..=1000 {
+            let x = std::f32::consts::FRAC_PI_4 * i as f32 / 1000.0;
+            let (sine, cosine) = sin_cos_quarter(x);
+            assert!((f64::from(sine) - f64::from(x).sin()).abs() < 4e-7, "{x}");
+            assert!((f64::from(cosine) - f64::from(x).cos()).abs() < 2e-7, "{x}");
+        }
+    }
+
+    #[test]
+    fn moments_of_the_cosine_distribution() {
+        // E[z] = 2/3, E[z²] = 1/2, E[x] = E[y] = 0, E[x²] = 1/4.
+        let n = 512;
+        let mut sums = [0.0f64; 5];
+        for i in 0..n * n {
+            let point = [((i % n) as f32 + 0.5) / n as f32, ((i / n) as f32 + 0.5) / n as f32];
+            let d = cosine_about_z(point).as_dvec3();
+            for (sum, value) in sums.iter_mut().zip([d.z, d.z * d.z, d.x, d.y, d.x * d.x]) {
+                *sum += value / f64::from(n * n);
+            }
+        }
+        for (sum, expected) in sums.iter().zip([2.0 / 3.0, 0.5, 0.0, 0.0, 0.25]) {
+            assert!((sum - expected).abs() < 1e-4, "{sums:?}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn directions_are_unit_and_above(x in -1f32..1.0, y in -1f32..1.0, z in -1f32..1.0, u in 0f32..1.0, v in 0f32..1.0) {
+            prop_assume!(Vec3::new(x, y, z).length() > 0.1);
+            let normal = Vec3::new(x, y, z).normalize();
+            let (t, b) = orthonormal_basis(normal);
+            prop_assert!(t.dot(b).abs() < 1e-5 && t.dot(normal).abs() < 1e-5 && t.cross(b).dot(normal) > 0.9999);
+            let d = cosine_direction([u, v], normal, (t, b));
+            prop_assert!((d.length() - 1.0).abs() < 1e-5 && d.dot(normal) > -1e-5);
+        }
+    }
+}

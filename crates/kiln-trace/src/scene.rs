@@ -1,0 +1,133 @@
+//! Instances in two levels: what tracers trace.
+
+use crate::{
+    MeshBvh,
+    bvh::{self, BvhNode},
+};
+use glam::{DAffine3, DVec3, Mat3, Vec3, Vec3A};
+use obvhs::aabb::Aabb;
+use std::sync::Arc;
+
+/// Bound on the relative rounding error of a ray's way into object space and of its intersection there, in units of
+/// 2⁻²⁴: matrix entries and products rounded once each, four additions, and the edge functions of the triangle.
+const ROUNDINGS: f64 = 16.0;
+const UNIT_ROUNDOFF: f64 = 1.0 / 16_777_216.0;
+
+/// One placement of a mesh, as given.
+#[derive(Clone, Debug)]
+pub struct SceneObject {
+    /// Index into the scene's meshes.
+    pub mesh: usize,
+    /// From object space to metres relative to the level's origin.
+    pub world_from_object: DAffine3,
+}
+
+/// One placement of a mesh, as traced.
+#[derive(Clone, Debug)]
+pub struct SceneInstance {
+    /// Index into the scene's meshes.
+    pub mesh: u32,
+    /// Rows of the inverse transform.
+    pub object_from_world: [[f32; 4]; 3],
+}
+
+impl SceneInstance {
+    /// A world-space point in object space.
+    pub(crate) fn point(&self, p: Vec3) -> Vec3 {
+        let [x, y, z] = self.object_from_world.map(|r| r[0] * p.x + r[1] * p.y + r[2] * p.z + r[3]);
+        Vec3::new(x, y, z)
+    }
+
+    /// A world-space direction in object space; its length is kept by the ray's parameter, not by the vector.
+    pub(crate) fn direction(&self, d: Vec3) -> Vec3 {
+        let [x, y, z] = self.object_from_world.map(|r| r[0] * d.x + r[1] * d.y + r[2] * d.z);
+        Vec3::new(x, y, z)
+    }
+}
+
+/// Meshes, instances and the BVH over them.
+#[derive(Debug)]
+pub struct Scene {
+    /// The distinct meshes.
+    pub meshes: Vec<Arc<MeshBvh>>,
+    /// All instances, by the indices that hits name. Flat ones are here but not in the tree.
+    pub instances: Vec<SceneInstance>,
+    /// Tree over the instances; a leaf's index is an instance's.
+    pub nodes: Vec<BvhNode>,
+}
+
+impl Scene {
+    /// Places meshes. Instances without occluding faces, and those whose transform flattens them, stop no ray.
+    pub fn build(meshes: Vec<Arc<MeshBvh>>, objects: &[SceneObject]) -> Self {
+        let instances: Vec<SceneInstance> = objects.iter().map(instance).collect();
+        let (mut boxes, mut indices) = (Vec::new(), Vec::new());
+        for (index, object) in objects.iter().enumerate() {
+            if let Some(aabb) = world_box(&meshes[object.mesh], &object.world_from_object) {
+                boxes.push(aabb);
+                indices.push(index as u32);
+            }
+        }
+        let tree = bvh::build(&boxes, 1);
+        let mut nodes = tree.nodes;
+        for child in nodes.iter_mut().flat_map(|node| &mut node.children) {
+            if *child != bvh::NO_CHILD && *child & bvh::LEAF_BIT != 0 {
+                let leaf = &tree.leaves[(*child & !bvh::LEAF_BIT) as usize];
+                *child = indices[leaf[0] as usize] | bvh::LEAF_BIT;
+            }
+        }
+        Self { meshes, instances, nodes }
+    }
+
+    /// Memory of all nodes, triangles and instances, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        let meshes: usize = self.meshes.iter().map(|mesh| mesh.memory_bytes()).sum();
+        meshes + size_of_val(self.nodes.as_slice()) + size_of_val(self.instances.as_slice())
+    }
+}
+
+/// Bound on the distance, along each world axis in metres, between a point of an instance's surface and where a ray
+/// that starts there sees that surface, due to rounding alone. `face_extent` is the longest edge of the point's face
+/// in object space.
+pub fn position_error(world_from_object: &DAffine3, point: DVec3, face_extent: f64) -> DVec3 {
+    let object_from_world = world_from_object.inverse();
+    let there = abs(object_from_world.matrix3) * point.abs() + object_from_world.translation.abs();
+    let error = there + DVec3::splat(face_extent);
+    (abs(world_from_object.matrix3) * error + point.abs()) * (ROUNDINGS * UNIT_ROUNDOFF)
+}
+
+fn abs(m: glam::DMat3) -> glam::DMat3 {
+    glam::DMat3::from_cols(m.x_axis.abs(), m.y_axis.abs(), m.z_axis.abs())
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "rays are f32; position_error bounds what is lost")]
+fn instance(object: &SceneObject) -> SceneInstance {
+    let inverse = object.world_from_object.inverse();
+    let (m, t) = (inverse.matrix3, inverse.translation);
+    let row = |i: usize| [m.x_axis[i] as f32, m.y_axis[i] as f32, m.z_axis[i] as f32, t[i] as f32];
+    SceneInstance { mesh: object.mesh as u32, object_from_world: [row(0), row(1), row(2)] }
+}
+
+/// World-space box, grown by the rounding error of rays on their way into object space. `None` for an instance that
+/// no ray can hit.
+fn world_box(mesh: &MeshBvh, transform: &DAffine3) -> Option<Aabb> {
+    let inverse = transform.inverse();
+    let fits = |v: DVec3| v.is_finite() && v.abs().max_element() < f64::from(f32::MAX);
+    let m = inverse.matrix3;
+    let is_usable = transform.is_finite() && [m.x_axis, m.y_axis, m.z_axis, inverse.translation].into_iter().all(fits);
+    if mesh.bounds.is_empty() || !is_usable {
+        return None;
+    }
+    let (center, half) = (mesh.bounds.center(), 0.5 * (mesh.bounds.max - mesh.bounds.min));
+    let center = transform.transform_point3(center);
+    let half = abs(transform.matrix3) * half;
+    let extent = mesh.extent();
+    let slack = position_error(transform, center.abs() + half, extent.max_element());
+    let (min, max) = (center - half - slack, center + half + slack);
+    (fits(min) && fits(max)).then(|| Aabb { min: Vec3A::from(min.as_vec3()), max: Vec3A::from(max.as_vec3()) })
+}
+
+/// The linear part of a transform in f32, for callers that move directions.
+pub(crate) fn linear(transform: &SceneInstance) -> Mat3 {
+    let [x, y, z] = transform.object_from_world;
+    Mat3::from_cols_array(&[x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]])
+}

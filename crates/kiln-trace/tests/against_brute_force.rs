@@ -1,0 +1,235 @@
+//! The CPU tracer against brute force in f64, and its laws.
+
+use glam::{DAffine3, DQuat, DVec3, Vec3};
+use kiln_core::{Class, FaceGroup, Kernel, Mesh};
+use kiln_trace::{
+    CosineSums, CpuTracer, Hit, KernelRates, MeshBvh, Ray, Scene, SceneObject, SobolScramble, SurfaceSample, Tracer,
+    is_open_above, position_error,
+};
+use proptest::prelude::*;
+use std::sync::Arc;
+
+fn mesh(triangles: &[[Vec3; 3]]) -> Mesh {
+    let group = FaceGroup {
+        class: Class::Opaque,
+        double_sided: false,
+        occludes: true,
+        receives: true,
+        max_samples_per_face: None,
+    };
+    Mesh {
+        positions: triangles.iter().flatten().map(|p| p.to_array()).collect(),
+        normals: vec![[0.0; 3]; 3 * triangles.len()],
+        faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
+        face_group: vec![0; triangles.len()],
+        groups: vec![group],
+    }
+}
+
+fn tracer(meshes: &[Mesh], objects: &[SceneObject]) -> CpuTracer {
+    let meshes = meshes.iter().map(|mesh| Arc::new(MeshBvh::build(mesh))).collect();
+    CpuTracer::new(Arc::new(Scene::build(meshes, objects)))
+}
+
+/// Distance of the closest hit in f64, and how far the ray passes from the nearest edge of any triangle's plane.
+fn brute_force(meshes: &[Mesh], objects: &[SceneObject], ray: &Ray) -> (f64, Option<(u32, u32, bool)>, f64) {
+    let (mut best, mut id, mut margin) = (f64::from(ray.t_max), None, f64::INFINITY);
+    let (o, d) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
+    for (instance, object) in objects.iter().enumerate() {
+        for face in 0..meshes[object.mesh].faces.len() {
+            let corners = meshes[object.mesh].corners(face);
+            let [a, b, c] = corners.map(|p| object.world_from_object.transform_point3(p.as_dvec3()));
+            let normal = (b - a).cross(c - a);
+            let slope = normal.dot(d);
+            let t = normal.dot(a - o) / slope;
+            let p = o + d * t;
+            let area = normal.length_squared();
+            let bary = [(b, c), (c, a), (a, b)].map(|(q, r)| (r - q).cross(p - q).dot(normal) / area);
+            let inside = bary.iter().fold(f64::INFINITY, |m: f64, &x| m.min(x));
+            if t > -1e-3 && t < best + 1e-3 {
+                margin = margin.min(inside.abs());
+            }
+            if inside > 0.0 && t > 0.0 && t < best {
+                margin = margin.min(t);
+                best = t;
+                let flips = object.world_from_object.matrix3.determinant() < 0.0;
+                id = Some((instance as u32, face as u32, (slope > 0.0) != flips));
+            }
+        }
+    }
+    (best, id, margin)
+}
+
+fn vec3() -> impl Strategy<Value = Vec3> {
+    prop::array::uniform3(-1f32..1.0).prop_map(Vec3::from_array)
+}
+
+fn transform() -> impl Strategy<Value = DAffine3> {
+    let scale = prop::array::uniform3(prop_oneof![0.3f64..2.0, -2.0..-0.3]);
+    (scale, prop::array::uniform3(-3.0f64..3.0), prop::array::uniform3(-2.0f64..2.0)).prop_map(|(s, r, t)| {
+        let rotation = DQuat::from_rotation_x(r[0]) * DQuat::from_rotation_y(r[1]) * DQuat::from_rotation_z(r[2]);
+        DAffine3::from_scale_rotation_translation(DVec3::from_array(s), rotation, DVec3::from_array(t))
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn closest_hits_match(
+        soups in prop::collection::vec(prop::collection::vec(prop::array::uniform3(vec3()), 1..60), 1..4),
+        placements in prop::collection::vec((0usize..4, transform()), 1..8),
+        rays in prop::collection::vec((vec3(), vec3()), 50),
+    ) {
+        let meshes: Vec<Mesh> = soups.iter().map(|soup| mesh(soup)).collect();
+        let objects: Vec<SceneObject> = placements
+            .iter()
+            .map(|&(mesh, world_from_object)| SceneObject { mesh: mesh % meshes.len(), world_from_object })
+            .collect();
+        let tracer = tracer(&meshes, &objects);
+        for &(origin, direction) in &rays {
+            let ray = Ray { origin: origin * 3.0, direction, t_max: 50.0 };
+            let (t, id, margin) = brute_force(&meshes, &objects, &ray);
+            // Rays through an edge, or direction almost in a plane, may go either way.
+            if margin < 1e-3 || direction.length() < 0.05 {
+                continue;
+            }
+            let hit = tracer.closest_hit(&ray);
+            prop_assert_eq!(hit.is_hit(), id.is_some());
+            if let Some((instance, face, back)) = id {
+                prop_assert!((f64::from(hit.t) - t).abs() < 1e-3 * (1.0 + t), "{hit:?} {t}");
+                if (f64::from(hit.t) - t).abs() < 1e-5 {
+                    prop_assert_eq!((hit.instance, hit.primitive, hit.back_face), (instance, face, back));
+                }
+            }
+        }
+    }
+
+    /// A ray that starts on a surface, moved off it by the error bound, does not hit that surface again.
+    #[test]
+    fn origins_are_robust(
+        triangle in prop::array::uniform3(vec3()), size in -3f32..4.0, place in transform(), far in -3f64..5.0,
+        s in 0f64..1.0, r in 0f64..1.0, directions in prop::collection::vec(vec3(), 8),
+    ) {
+        let corners = triangle.map(|p| p * 10f32.powf(size));
+        let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+        prop_assume!(normal.length() > 0.05 * 100f32.powf(size));
+        let mut place = place;
+        place.translation *= 10f64.powf(far);
+        let tracer = tracer(&[mesh(&[corners])], &[SceneObject { mesh: 0, world_from_object: place }]);
+        let (s, r) = if s + r > 1.0 { (1.0 - s, 1.0 - r) } else { (s, r) };
+        let [a, b, c] = corners.map(|p| p.as_dvec3());
+        let p = place.transform_point3(a + (b - a) * s + (c - a) * r);
+        let n = (place.matrix3.inverse().transpose() * normal.as_dvec3()).normalize();
+        let extent = (b - a).length().max((c - a).length()).max((c - b).length());
+        let off = position_error(&place, p, extent).dot(n.abs());
+        let origin = (p + n * off).as_vec3();
+        let n = n.as_vec3();
+        for d in directions {
+            let d = (n * 0.02 + (d - n * d.dot(n)) + n * d.dot(n).abs()).normalize();
+            let hit = tracer.closest_hit(&Ray { origin, direction: d, t_max: f32::MAX });
+            prop_assert!(!hit.is_hit(), "{hit:?} off {off} at {p}");
+        }
+        // The bound is small against the coordinates and the face.
+        let scale = p.abs().max_element().max(f64::from(10f32.powf(size)) * 10.0);
+        prop_assert!(off < 1e-3 * scale, "{off} {scale}");
+    }
+}
+
+/// A closed box of 12 triangles facing inwards, and one with the same corners facing outwards.
+fn cube(half: f32, inward: bool) -> Vec<[Vec3; 3]> {
+    let mut triangles = Vec::new();
+    for axis in 0..3 {
+        for sign in [-1.0, 1.0] {
+            let mut n = Vec3::ZERO;
+            n[axis] = sign * half;
+            let mut u = Vec3::ZERO;
+            u[(axis + 1) % 3] = half * sign;
+            let mut v = Vec3::ZERO;
+            v[(axis + 2) % 3] = half;
+            let quad = [n - u - v, n + u - v, n + u + v, n - u + v];
+            for [i, j, k] in [[0, 1, 2], [0, 2, 3]] {
+                triangles.push(if inward { [quad[i], quad[k], quad[j]] } else { [quad[i], quad[j], quad[k]] });
+            }
+        }
+    }
+    triangles
+}
+
+fn identity(mesh: usize) -> SceneObject {
+    SceneObject { mesh, world_from_object: DAffine3::IDENTITY }
+}
+
+fn sample(origin: Vec3, normal: Vec3, seed: u32) -> SurfaceSample {
+    let scramble = SobolScramble([seed, seed.wrapping_mul(0x9e37_79b9) ^ 0x85eb_ca6b]);
+    SurfaceSample { origin, normal, geometric: normal, scramble, first_index: 0 }
+}
+
+#[test]
+fn nothing_leaks_from_a_closed_box() {
+    let tracer = tracer(&[mesh(&cube(1.0, true))], &[identity(0)]);
+    let kernel = KernelRates::new(&Kernel::Occlusion { ray_distance_m: f64::INFINITY });
+    let samples: Vec<SurfaceSample> =
+        (0..64).map(|i| sample(Vec3::new(0.3, 0.1 * (i % 8) as f32, -0.2), Vec3::Y, i)).collect();
+    let mut sums = vec![CosineSums::default(); samples.len()];
+    tracer.gather_cosine(&samples, &kernel, 4096, &mut sums).unwrap();
+    assert!(sums.iter().all(|s| s.values[0] == 0 && s.back_faces == 0 && s.rays > 4000));
+}
+
+#[test]
+fn ties_prefer_the_front_then_the_lowest() {
+    let square = [[Vec3::ZERO, Vec3::X, Vec3::Y]];
+    let flipped = [[Vec3::ZERO, Vec3::Y, Vec3::X]];
+    let meshes = [mesh(&square), mesh(&flipped)];
+    let ray = Ray { origin: Vec3::new(0.2, 0.2, 1.0), direction: Vec3::NEG_Z, t_max: 10.0 };
+    for order in [[0, 1, 0], [1, 0, 0], [1, 1, 0]] {
+        let objects = order.map(identity);
+        let hit = tracer(&meshes, &objects).closest_hit(&ray);
+        let first_front = order.iter().position(|&m| m == 0).unwrap() as u32;
+        assert_eq!(hit, Hit { t: 1.0, instance: first_front, primitive: 0, back_face: false });
+    }
+    // In one mesh, coincident opposite faces are one that has no back.
+    let both = mesh(&[square[0], flipped[0]]);
+    let tracer = tracer(&[both], &[identity(0)]);
+    for z in [1.0, -1.0] {
+        let hit = tracer.closest_hit(&Ray { origin: Vec3::new(0.2, 0.2, z), direction: Vec3::NEG_Z * z, t_max: 10.0 });
+        assert_eq!(hit, Hit { t: 1.0, instance: 0, primitive: 0, back_face: false });
+    }
+}
+
+#[test]
+fn thread_count_changes_nothing() {
+    let mut triangles = cube(1.0, true);
+    triangles.extend(cube(0.3, false));
+    let kernel = KernelRates::new(&Kernel::Obscurance { half_distances_m: vec![0.5, 20.0] });
+    let samples: Vec<SurfaceSample> =
+        (0..500).map(|i| sample(Vec3::new(0.7, -0.9, 0.001 * i as f32), Vec3::Y, i)).collect();
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let tracer = tracer(&[mesh(&triangles)], &[identity(0)]);
+            let mut sums = vec![CosineSums::default(); samples.len()];
+            tracer.gather_cosine(&samples, &kernel, 64, &mut sums).unwrap();
+            sums
+        })
+    };
+    assert_eq!(run(1), run(3));
+}
+
+#[test]
+fn open_sky_is_found_and_agrees_with_rays() {
+    let floor = mesh(&[[Vec3::new(-9.0, 0.0, -9.0), Vec3::new(-9.0, 0.0, 9.0), Vec3::new(9.0, 0.0, -9.0)]]);
+    let block = mesh(&cube(0.5, false));
+    let up = |height: f64| SceneObject { mesh: 1, world_from_object: DAffine3::from_translation(DVec3::Y * height) };
+    let meshes = [floor, block];
+    let open = |objects: &[SceneObject], p: Vec3, reach: f32| {
+        is_open_above(tracer(&meshes, objects).scene(), p, Vec3::Y, reach)
+    };
+    let p = Vec3::new(-3.0, 1e-5, -3.0);
+    assert!(open(&[identity(0)], p, 100.0));
+    assert!(open(&[identity(0), up(-2.0)], p, 100.0));
+    assert!(!open(&[identity(0), up(0.0)], p, 100.0));
+    assert!(open(&[identity(0), up(20.0)], p, 5.0));
+    assert!(!open(&[identity(0), up(20.0)], p, 50.0));
+    assert!(open(&[], p, 50.0));
+}
