@@ -23,7 +23,7 @@ pub use directions::{cosine_direction, orthonormal_basis};
 pub use kernel::{KernelRates, MAX_RAYS_PER_SAMPLE, ONE, REACH_EPSILON};
 pub use mesh_bvh::MeshBvh;
 pub use open_sky::is_open_above;
-pub use scene::{Scene, SceneInstance, SceneObject, position_error};
+pub use scene::{PositionError, Scene, SceneInstance, SceneObject};
 pub use sobol::{SobolScramble, owen_scramble, sobol_point};
 pub use tracer::{CosineSums, Hit, Ray, SurfaceSample, TraceError, Tracer};
 pub use triangle::{NO_PRIMITIVE, TWO_SIDED_BIT, TriangleBlock};

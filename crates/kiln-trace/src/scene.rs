@@ -85,21 +85,39 @@ impl Scene {
     }
 }
 
-/// Bound on the distance, along each world axis in metres, between a point of an instance's surface and where a ray
-/// that starts there sees that surface, due to rounding alone. `face_extent` is the longest edge of the point's face
-/// in object space.
-pub fn position_error(world_from_object: &DAffine3, point: DVec3, face_extent: f64) -> DVec3 {
-    let object_from_world = world_from_object.inverse();
-    let there = abs(object_from_world.matrix3) * point.abs() + object_from_world.translation.abs();
-    let error = there + DVec3::splat(face_extent);
-    (abs(world_from_object.matrix3) * error + point.abs()) * (ROUNDINGS * UNIT_ROUNDOFF)
+/// Bounds the distance between a point of an instance's surface and where a ray that starts there sees that surface,
+/// due to rounding alone: to f32, on the ray's way into object space, and in the triangle test.
+#[derive(Clone, Copy, Debug)]
+pub struct PositionError {
+    world_from_object: glam::DMat3,
+    object_from_world: glam::DMat3,
+    translation: DVec3,
+}
+
+impl PositionError {
+    /// For surfaces under a transform, which need not be invertible (the bound is then not finite).
+    pub fn new(world_from_object: &DAffine3) -> Self {
+        let inverse = world_from_object.inverse();
+        Self {
+            world_from_object: abs(world_from_object.matrix3),
+            object_from_world: abs(inverse.matrix3),
+            translation: inverse.translation.abs(),
+        }
+    }
+
+    /// Bound along each world axis, metres, at a world-space point of a face whose longest edge is `face_extent` in
+    /// object space.
+    pub fn bound(&self, point: DVec3, face_extent: f64) -> DVec3 {
+        let there = self.object_from_world * point.abs() + self.translation + DVec3::splat(face_extent);
+        (self.world_from_object * there + point.abs()) * (ROUNDINGS * UNIT_ROUNDOFF)
+    }
 }
 
 fn abs(m: glam::DMat3) -> glam::DMat3 {
     glam::DMat3::from_cols(m.x_axis.abs(), m.y_axis.abs(), m.z_axis.abs())
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "rays are f32; position_error bounds what is lost")]
+#[expect(clippy::cast_possible_truncation, reason = "rays are f32; PositionError bounds what is lost")]
 fn instance(object: &SceneObject) -> SceneInstance {
     let inverse = object.world_from_object.inverse();
     let (m, t) = (inverse.matrix3, inverse.translation);
@@ -121,7 +139,7 @@ fn world_box(mesh: &MeshBvh, transform: &DAffine3) -> Option<Aabb> {
     let center = transform.transform_point3(center);
     let half = abs(transform.matrix3) * half;
     let extent = mesh.extent();
-    let slack = position_error(transform, center.abs() + half, extent.max_element());
+    let slack = PositionError::new(transform).bound(center.abs() + half, extent.max_element());
     let (min, max) = (center - half - slack, center + half + slack);
     (fits(min) && fits(max)).then(|| Aabb { min: Vec3A::from(min.as_vec3()), max: Vec3A::from(max.as_vec3()) })
 }

@@ -3,8 +3,8 @@
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use kiln_core::{Class, FaceGroup, Kernel, Mesh};
 use kiln_trace::{
-    CosineSums, CpuTracer, Hit, KernelRates, MeshBvh, Ray, Scene, SceneObject, SobolScramble, SurfaceSample, Tracer,
-    is_open_above, position_error,
+    CosineSums, CpuTracer, Hit, KernelRates, MeshBvh, PositionError, Ray, Scene, SceneObject, SobolScramble,
+    SurfaceSample, Tracer, is_open_above,
 };
 use proptest::prelude::*;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ fn mesh(triangles: &[[Vec3; 3]]) -> Mesh {
         max_samples_per_face: None,
     };
     Mesh {
-        positions: triangles.iter().flatten().map(|p| p.to_array()).collect(),
+        positions: triangles.iter().flatten().map(Vec3::to_array).collect(),
         normals: vec![[0.0; 3]; 3 * triangles.len()],
         faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
         face_group: vec![0; triangles.len()],
@@ -118,11 +118,11 @@ proptest! {
         place.translation *= 10f64.powf(far);
         let tracer = tracer(&[mesh(&[corners])], &[SceneObject { mesh: 0, world_from_object: place }]);
         let (s, r) = if s + r > 1.0 { (1.0 - s, 1.0 - r) } else { (s, r) };
-        let [a, b, c] = corners.map(|p| p.as_dvec3());
+        let [a, b, c] = corners.map(Vec3::as_dvec3);
         let p = place.transform_point3(a + (b - a) * s + (c - a) * r);
         let n = (place.matrix3.inverse().transpose() * normal.as_dvec3()).normalize();
         let extent = (b - a).length().max((c - a).length()).max((c - b).length());
-        let off = position_error(&place, p, extent).dot(n.abs());
+        let off = PositionError::new(&place).bound(p, extent).dot(n.abs());
         let origin = (p + n * off).as_vec3();
         let n = n.as_vec3();
         for d in directions {

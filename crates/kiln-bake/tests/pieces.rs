@@ -1,0 +1,210 @@
+//! Laws of trace tasks, on scenes made here.
+
+use glam::{DAffine3, DQuat, DVec3, Vec3};
+use kiln_bake::{FaceAreas, Piece, ProbePoint, density, probe, trace_piece};
+use kiln_core::{Class, Digest, FaceGroup, FaceMoments, HalfMoments, Kernel, Mesh, Sampling};
+use kiln_trace::{CpuTracer, MeshBvh, Scene, SceneObject};
+use std::sync::Arc;
+
+fn mesh(triangles: &[[Vec3; 3]], double_sided: bool) -> Mesh {
+    let group =
+        FaceGroup { class: Class::Opaque, double_sided, occludes: true, receives: true, max_samples_per_face: None };
+    Mesh {
+        positions: triangles.iter().flatten().map(Vec3::to_array).collect(),
+        normals: vec![[0.0; 3]; 3 * triangles.len()],
+        faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
+        face_group: vec![0; triangles.len()],
+        groups: vec![group],
+    }
+}
+
+/// A square of two faces in the plane spanned by u and v, seen from u × v.
+fn square(center: Vec3, u: Vec3, v: Vec3) -> [[Vec3; 3]; 2] {
+    let [a, b, c, d] = [center - u - v, center + u - v, center + u + v, center - u + v];
+    [[a, b, c], [a, c, d]]
+}
+
+fn cube(center: Vec3, half: f32) -> Vec<[Vec3; 3]> {
+    let axes = [Vec3::X, Vec3::Y, Vec3::Z].map(|a| a * half);
+    let side = |i: usize, sign: f32| square(center + axes[i] * sign, axes[(i + 1) % 3] * sign, axes[(i + 2) % 3]);
+    (0..3).flat_map(|i| [side(i, 1.0), side(i, -1.0)]).flatten().collect()
+}
+
+fn sampling(rays_per_sample: u32, half_distances_m: &[f64]) -> Sampling {
+    Sampling {
+        kernel: Kernel::Obscurance { half_distances_m: half_distances_m.to_vec() },
+        rays_per_sample,
+        mean_samples_per_face: 8.0,
+        density_per_m2: None,
+        min_samples_per_face: 2,
+        max_samples_per_face: 64,
+        back_face_limit: 0.25,
+        seed: 7,
+        ground_plane_y_m: None,
+    }
+}
+
+struct Fixture {
+    meshes: Vec<Mesh>,
+    places: Vec<(usize, DAffine3)>,
+}
+
+impl Fixture {
+    fn tracer(&self) -> CpuTracer {
+        let bvhs = self.meshes.iter().map(|m| Arc::new(MeshBvh::build(m))).collect();
+        let objects: Vec<SceneObject> =
+            self.places.iter().map(|&(mesh, world_from_object)| SceneObject { mesh, world_from_object }).collect();
+        CpuTracer::new(Arc::new(Scene::build(bvhs, &objects)))
+    }
+
+    fn trace(&self, instance: usize, faces: std::ops::Range<usize>, sampling: &Sampling) -> FaceMoments {
+        let (mesh, place) = &self.places[instance];
+        let mesh = &self.meshes[*mesh];
+        let density_per_m2 = density(&FaceAreas::new(mesh, place), sampling);
+        let tracer = self.tracer();
+        let piece = Piece { mesh, world_from_object: place, faces, density_per_m2, sampling };
+        trace_piece(&tracer, tracer.scene(), &piece).unwrap()
+    }
+}
+
+/// A floor with crates that stand in each other, one of them mirrored and stretched.
+fn crates() -> Fixture {
+    let place =
+        |s: DVec3, angle: f64, t: DVec3| DAffine3::from_scale_rotation_translation(s, DQuat::from_rotation_y(angle), t);
+    Fixture {
+        meshes: vec![
+            mesh(&square(Vec3::ZERO, Vec3::Z * 5.0, Vec3::X * 5.0), false),
+            mesh(&cube(Vec3::ZERO, 0.5), false),
+        ],
+        places: vec![
+            (0, DAffine3::IDENTITY),
+            (1, place(DVec3::ONE, 0.3, DVec3::new(0.0, 0.4, 0.0))),
+            (1, place(DVec3::new(-1.0, 1.5, 0.7), 1.0, DVec3::new(0.6, 0.6, 0.2))),
+        ],
+    }
+}
+
+fn ao(half: &HalfMoments, channel: usize) -> f64 {
+    half.phi_f[channel].iter().sum::<f64>() / f64::from(half.valid)
+}
+
+#[test]
+fn pieces_make_the_whole() {
+    let scene = crates();
+    let sampling = sampling(16, &[0.5, 20.0]);
+    for instance in 0..3 {
+        let faces = scene.meshes[scene.places[instance].0].faces.len();
+        let whole = scene.trace(instance, 0..faces, &sampling);
+        let mut parts = FaceMoments::new(2);
+        for face in 0..faces {
+            parts.append(&scene.trace(instance, face..face + 1, &sampling));
+        }
+        assert_eq!(whole, parts);
+    }
+}
+
+#[test]
+fn faces_keep_their_moments_when_others_come_or_go() {
+    let mut scene = crates();
+    let sampling = sampling(16, &[0.5, 20.0]);
+    let before = scene.trace(1, 0..12, &sampling);
+    // Reversing the faces of the crate reverses the moments, and changes nothing else.
+    {
+        let part = &mut scene.meshes[1].faces;
+        part.reverse();
+    }
+    let after = scene.trace(1, 0..12, &sampling);
+    for face in 0..12 {
+        assert_eq!(before.face(face), after.face(11 - face));
+    }
+}
+
+#[test]
+fn halves_are_independent_and_unbiased() {
+    // A floor under a large parallel ceiling at height 2: AO = 1 − 2 E3(ln 2) at d = 2 is .6646399464.
+    let floor = square(Vec3::ZERO, Vec3::Z * 0.5, Vec3::X * 0.5);
+    let ceiling = square(Vec3::Y * 2.0, Vec3::X * 2000.0, Vec3::Z * 2000.0);
+    let scene = Fixture {
+        meshes: vec![mesh(&floor, false), mesh(&ceiling, false)],
+        places: vec![(0, DAffine3::IDENTITY), (1, DAffine3::IDENTITY)],
+    };
+    let mut sampling = sampling(32, &[2.0]);
+    sampling.density_per_m2 = Some(128.0);
+    let mut errors = Vec::new();
+    for seed in 0..40 {
+        sampling.seed = seed;
+        let moments = scene.trace(0, 0..2, &sampling);
+        for face in 0..2 {
+            let halves = moments.face(face);
+            assert_eq!(halves.map(|h| (h.valid, h.taken)), [(32, 32); 2]);
+            errors.push(halves.map(|h| ao(&h, 0) - 0.664_639_946_4));
+        }
+    }
+    let n = errors.len() as f64;
+    let mean = |f: &dyn Fn(&[f64; 2]) -> f64| errors.iter().map(f).sum::<f64>() / n;
+    let variance = mean(&|e| 0.5 * (e[0] * e[0] + e[1] * e[1]));
+    assert!(variance.sqrt() < 2e-3, "{}", variance.sqrt());
+    assert!(mean(&|e| 0.5 * (e[0] + e[1])).abs() < 4.0 * (variance / (2.0 * n)).sqrt() + 5e-6);
+    // Correlation of the halves is within four standard errors of none.
+    assert!((mean(&|e| e[0] * e[1]) / variance).abs() < 4.0 / n.sqrt());
+}
+
+#[test]
+fn buried_faces_are_invalid_and_mirrored_ones_are_not() {
+    let mut scene = crates();
+    let mirrored = scene.places.remove(2);
+    // A crate of a tenth the size in the middle of another sees back faces only.
+    let place = (DVec3::splat(0.1), DQuat::IDENTITY, DVec3::new(0.0, 0.4, 0.0));
+    scene.places.push((1, DAffine3::from_scale_rotation_translation(place.0, place.1, place.2)));
+    let sampling = sampling(16, &[0.5]);
+    let buried = scene.trace(2, 0..12, &sampling);
+    assert_eq!(buried.summary.invalid, buried.summary.samples);
+    assert!((0..12).all(|face| buried.face(face).iter().all(|h| h.valid == 0 && h.taken > 0)));
+    // A mirrored crate in the open is valid everywhere.
+    let alone = Fixture { meshes: scene.meshes, places: vec![mirrored] };
+    let open = alone.trace(0, 0..12, &sampling);
+    assert_eq!(open.summary.invalid, 0);
+    assert_eq!(open.summary.rays, 0, "nothing lies above a convex body's faces");
+    assert!((0..12).all(|face| open.face(face).iter().all(|h| ao(h, 0) == 1.0)));
+}
+
+#[test]
+fn double_sided_faces_average_their_sides() {
+    // A double-sided sheet halfway between floor and open sky; and one that lies under the floor's back on one side.
+    let sheet = mesh(&square(Vec3::ZERO, Vec3::Z * 0.05, Vec3::X * 0.05), true);
+    let floor = mesh(&square(Vec3::ZERO, Vec3::Z * 3000.0, Vec3::X * 3000.0), false);
+    let at = |y: f64| DAffine3::from_translation(DVec3::Y * y);
+    let sampling = sampling(256, &[2.0]);
+    let scene = Fixture { meshes: vec![sheet, floor], places: vec![(0, at(2.0)), (1, at(0.0))] };
+    let both = scene.trace(0, 0..2, &sampling);
+    for half in both.face(0) {
+        assert!((ao(&half, 0) - 0.5 * (1.0 + 0.664_64)).abs() < 4e-3, "{}", ao(&half, 0));
+    }
+    let scene = Fixture { places: vec![(0, at(-2.0)), (1, at(0.0))], ..scene };
+    let below = scene.trace(0, 0..2, &sampling);
+    for half in below.face(0) {
+        assert_eq!((half.valid, ao(&half, 0)), (half.taken, 1.0), "only the side that faces away is valid");
+    }
+}
+
+#[test]
+fn probes_match_closed_forms() {
+    // The centre of a sphere is too easy for positions, but not for directions: 1 − 2^(−R/d) up to the tessellation.
+    let ceiling = mesh(&square(Vec3::Y * 2.0, Vec3::X * 20000.0, Vec3::Z * 20000.0), false);
+    let scene = Fixture { meshes: vec![ceiling], places: vec![(0, DAffine3::IDENTITY)] };
+    let kernel = Kernel::Obscurance { half_distances_m: vec![2.0, 300.0] };
+    let point = ProbePoint { position: DVec3::ZERO, normal: DVec3::Y * 3.0 };
+    let found = probe(&scene.tracer(), &[point, point], &kernel, 1 << 17, 3).unwrap();
+    assert_eq!(found[0], found[1]);
+    assert!((found[0].ao[0] - 0.664_639_946_4).abs() < 1e-4 && (found[0].ao[1] - 0.009_107_404_1).abs() < 1e-4);
+    let up = probe(&scene.tracer(), &[ProbePoint { normal: -DVec3::Y, ..point }], &kernel, 64, 3).unwrap();
+    assert_eq!((up[0].ao.as_slice(), up[0].back_face_fraction), (&[1.0, 1.0][..], 0.0));
+}
+
+/// Fails when the output of trace tasks changes: raise `TaskKind::Trace`'s kernel revision, then this digest.
+#[test]
+fn output_is_what_the_kernel_revision_says() {
+    let moments = crates().trace(2, 0..12, &sampling(16, &[0.5, 20.0]));
+    let digest = Digest::of(&moments.to_bytes()).short();
+    assert_eq!((kiln_core::TaskKind::Trace.kernel_rev(), digest.as_str()), (1, "1cf7d0e6"));
+}
