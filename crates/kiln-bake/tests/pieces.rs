@@ -166,7 +166,7 @@ fn buried_faces_are_invalid_and_mirrored_ones_are_not() {
     let open = alone.trace(0, 0..12, &sampling);
     assert_eq!(open.summary.invalid, 0);
     assert_eq!(open.summary.rays, 0, "nothing lies above a convex body's faces");
-    assert!((0..12).all(|face| open.face(face).iter().all(|h| ao(h, 0) == 1.0)));
+    assert!((0..12).all(|face| open.face(face).iter().all(|h| (ao(h, 0) - 1.0).abs() < 1e-6)));
 }
 
 #[test]
@@ -184,7 +184,8 @@ fn double_sided_faces_average_their_sides() {
     let scene = Fixture { places: vec![(0, at(-2.0)), (1, at(0.0))], ..scene };
     let below = scene.trace(0, 0..2, &sampling);
     for half in below.face(0) {
-        assert_eq!((half.valid, ao(&half, 0)), (half.taken, 1.0), "only the side that faces away is valid");
+        assert_eq!(half.valid, half.taken);
+        assert!((ao(&half, 0) - 1.0).abs() < 1e-6, "only the side that faces away is valid");
     }
 }
 
