@@ -1,1 +1,294 @@
 //! Builds the graph of tasks that a level needs, and their keys.
+//!
+//! An instance is cut into pieces by its mesh's face count alone, so that an edit elsewhere recuts nothing. The key of
+//! a trace task is H(family, occluder root): the family covers the piece, its settings, the kernel revision and the
+//! lane; the occluder root covers all that can stop a ray. Instances that receive nothing have no tasks.
+
+use glam::DAffine3;
+use kiln_core::{Digest, DigestBuilder, Lane, Level, SolveTask, TaskGraph, TaskKey, TaskKind, TraceTask};
+use std::ops::Range;
+
+/// Faces of one piece: some 10⁵ rays at medium quality, a fraction of a second on one core.
+pub const FACES_PER_PIECE: u32 = 1024;
+
+/// The pieces of a mesh: runs of faces, in order.
+pub fn pieces(face_count: u32) -> impl Iterator<Item = Range<u32>> {
+    let cut = move |first: u32| first..face_count.min(first.saturating_add(FACES_PER_PIECE));
+    (0..face_count).step_by(FACES_PER_PIECE as usize).map(cut)
+}
+
+/// How one instance is to be sampled: what needs its geometry, which the plan does not see.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InstanceSampling {
+    /// Samples per square metre.
+    pub density_per_m2: f64,
+    /// Samples of each of its [`pieces`].
+    pub piece_samples: Vec<u64>,
+}
+
+/// A plan could not be made.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+pub enum PlanError {
+    /// The instance table and its sampling disagree.
+    #[error(
+        "{instances} instances but sampling for {sampled}; the level and its plan are of different versions of Kiln"
+    )]
+    InstanceCount {
+        /// Instances of the level.
+        instances: usize,
+        /// Instances whose sampling was given.
+        sampled: usize,
+    },
+    /// More pieces than a graph can index.
+    #[error("the level needs {pieces} pieces, more than the {limit} of one bake; split it into several levels")]
+    TooLarge {
+        /// Pieces needed.
+        pieces: u64,
+        /// The limit.
+        limit: u64,
+    },
+}
+
+/// Most pieces of one bake.
+pub const MAX_PIECES: u64 = 1 << 24;
+
+/// Builds the graph. `sampling` has one entry for each instance (ignored for those that do not receive).
+pub fn plan(
+    level_digest: Digest,
+    level: &Level,
+    lane: &Lane,
+    sampling: &[InstanceSampling],
+) -> Result<TaskGraph, PlanError> {
+    if sampling.len() != level.instances.len() {
+        return Err(PlanError::InstanceCount { instances: level.instances.len(), sampled: sampling.len() });
+    }
+    let count = |i: &kiln_core::Instance| u64::from(level.meshes[i.mesh as usize].face_count.div_ceil(FACES_PER_PIECE));
+    let needed: u64 = level.instances.iter().filter(|i| i.receives).map(count).sum();
+    if needed > MAX_PIECES {
+        return Err(PlanError::TooLarge { pieces: needed, limit: MAX_PIECES });
+    }
+    let occluders = occluder_root(level);
+    let mut graph = TaskGraph {
+        level: level_digest,
+        trace: Vec::with_capacity(needed as usize),
+        solve: Vec::new(),
+        sampling: level.sampling.clone(),
+        counts: level.counts.clone(),
+        warnings: level.warnings.clone(),
+    };
+    for (index, instance) in level.instances.iter().enumerate().filter(|(_, instance)| instance.receives) {
+        let mesh = &level.meshes[instance.mesh as usize];
+        let receiver = Receiver { mesh: mesh.digest, place: instance.world_from_object };
+        let first_trace = graph.trace.len() as u32;
+        let InstanceSampling { density_per_m2, piece_samples } = &sampling[index];
+        for (range, samples) in pieces(mesh.face_count).zip(piece_samples) {
+            let family = trace_family(&receiver, &range, *density_per_m2, level, lane);
+            graph.trace.push(TraceTask {
+                key: TaskKey(DigestBuilder::new("kiln trace").digest(&family).digest(&occluders).finish()),
+                family,
+                instance: index as u32,
+                first_face: range.start,
+                face_count: range.len() as u32,
+                density_per_m2: *density_per_m2,
+                ray_count: samples * u64::from(level.sampling.rays_per_sample),
+            });
+        }
+        graph.solve.push(SolveTask {
+            family: solve_family(&receiver, level, lane),
+            instance: index as u32,
+            first_trace,
+            trace_count: graph.trace.len() as u32 - first_trace,
+            vertex_count: mesh.vertex_count,
+        });
+    }
+    Ok(graph)
+}
+
+struct Receiver {
+    mesh: Digest,
+    place: DAffine3,
+}
+
+impl Receiver {
+    fn add_to(&self, builder: &mut DigestBuilder) {
+        builder.digest(&self.mesh);
+        add_place(builder, &self.place);
+    }
+}
+
+fn add_place(builder: &mut DigestBuilder, place: &DAffine3) {
+    place.to_cols_array().iter().for_each(|&value| {
+        builder.float(value);
+    });
+}
+
+/// Everything that can stop a ray, in the order that ties are decided by.
+fn occluder_root(level: &Level) -> Digest {
+    let mut builder = DigestBuilder::new("kiln occluders");
+    builder.integer(level.instances.len() as u64);
+    for instance in &level.instances {
+        builder.digest(&level.meshes[instance.mesh as usize].digest);
+        add_place(&mut builder, &instance.world_from_object);
+    }
+    if let Some(height) = level.sampling.ground_plane_y_m {
+        // The plane is cut to the level's bounds and reach, so both are part of what it is.
+        builder.text("ground plane").float(height).value(&level.bounds).value(&level.sampling.kernel);
+    }
+    builder.finish()
+}
+
+fn trace_family(receiver: &Receiver, faces: &Range<u32>, density: f64, level: &Level, lane: &Lane) -> Digest {
+    let s = &level.sampling;
+    let mut builder = DigestBuilder::new("kiln trace family");
+    builder.integer(u64::from(TaskKind::Trace.kernel_rev())).text(&lane.trace);
+    receiver.add_to(&mut builder);
+    builder.integer(u64::from(faces.start)).integer(u64::from(faces.end)).float(density).value(&s.kernel);
+    for count in [s.rays_per_sample, s.min_samples_per_face, s.max_samples_per_face] {
+        builder.integer(u64::from(count));
+    }
+    builder.float(s.back_face_limit).integer(s.seed);
+    builder.finish()
+}
+
+fn solve_family(receiver: &Receiver, level: &Level, lane: &Lane) -> Digest {
+    let mut builder = DigestBuilder::new("kiln solve family");
+    builder.integer(u64::from(TaskKind::Solve.kernel_rev())).text(&lane.solve);
+    receiver.add_to(&mut builder);
+    builder.value(&level.solve).integer(level.sampling.kernel.channel_count() as u64);
+    builder.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::DVec3;
+    use kiln_core::{BakeSettings, Bounds, Instance, Kernel, LevelCounts, MeshEntry, Sampling, SolveSettings};
+
+    fn level() -> Level {
+        let mesh = |name: &str, face_count| MeshEntry {
+            digest: Digest::of(name.as_bytes()),
+            name: name.into(),
+            vertex_count: 3 * face_count,
+            face_count,
+            bounds: Bounds::EMPTY,
+            source_mesh: 0,
+            blocks: Vec::new(),
+        };
+        let instance = |mesh, x: f64| Instance {
+            name: String::new(),
+            mesh,
+            node: 0,
+            gpu_instance: None,
+            world_from_object: DAffine3::from_translation(DVec3::X * x),
+            receives: true,
+        };
+        Level {
+            origin_m: DVec3::ZERO,
+            bounds: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
+            meshes: vec![mesh("wall", 2500), mesh("crate", 12)],
+            instances: vec![instance(0, 0.0), instance(1, 1.0), instance(1, 2.0)],
+            sampling: Sampling {
+                kernel: Kernel::Obscurance { half_distances_m: vec![2.0, 300.0] },
+                rays_per_sample: 32,
+                mean_samples_per_face: 4.0,
+                density_per_m2: None,
+                min_samples_per_face: 2,
+                max_samples_per_face: 64,
+                back_face_limit: 0.25,
+                seed: 0,
+                ground_plane_y_m: None,
+            },
+            solve: SolveSettings::default(),
+            output: BakeSettings::default().output,
+            warnings: Vec::new(),
+            counts: LevelCounts::default(),
+        }
+    }
+
+    fn graph(level: &Level) -> TaskGraph {
+        let sampling: Vec<InstanceSampling> = level
+            .instances
+            .iter()
+            .map(|i| level.meshes[i.mesh as usize].face_count)
+            .map(|faces| InstanceSampling {
+                density_per_m2: 1.0,
+                piece_samples: pieces(faces).map(|p| 4 * p.len() as u64).collect(),
+            })
+            .collect();
+        let lane = Lane { trace: "cpu".into(), solve: "portable".into() };
+        plan(Digest::default(), level, &lane, &sampling).unwrap()
+    }
+
+    fn keys(level: &Level) -> Vec<TaskKey> {
+        graph(level).trace.iter().map(|t| t.key).collect()
+    }
+
+    #[test]
+    fn pieces_cover_each_face_once() {
+        for count in [0, 1, 1023, 1024, 1025, 5000, u32::MAX - 5] {
+            let mut next = 0;
+            for range in pieces(count).take(10) {
+                assert!(range.start == next && !range.is_empty() && range.len() <= 1024);
+                next = range.end;
+            }
+            assert!(next == count || count > 10 * 1024);
+        }
+    }
+
+    #[test]
+    fn the_graph_has_what_the_level_needs() {
+        let mut level = level();
+        let full = graph(&level);
+        assert_eq!((full.trace.len(), full.solve.len()), (5, 3));
+        assert_eq!(full.trace.iter().map(|t| t.face_count).sum::<u32>(), 2500 + 12 + 12);
+        assert_eq!(full.trace[0].ray_count, 1024 * 4 * 32);
+        for solve in &full.solve {
+            let traces = &full.trace[solve.first_trace as usize..][..solve.trace_count as usize];
+            assert!(traces.iter().all(|t| t.instance == solve.instance));
+        }
+        level.instances[0].receives = false;
+        let less = graph(&level);
+        assert_eq!((less.trace.len(), less.solve.len()), (2, 2));
+        // What is left out still occludes: keys of the rest do not change.
+        assert_eq!(less.trace.iter().map(|t| t.key).collect::<Vec<_>>(), keys(&self::level())[3..]);
+    }
+
+    #[test]
+    fn keys_change_with_what_matters_and_with_nothing_else() {
+        let base = level();
+        let before = keys(&base);
+        let mut renamed = base.clone();
+        renamed.instances[0].name = "other".into();
+        renamed.solve.regularization = 0.5;
+        renamed.sampling.mean_samples_per_face = 5.0;
+        assert_eq!(keys(&renamed), before);
+
+        let mut moved = base.clone();
+        moved.instances[2].world_from_object.translation.x += 1e-9;
+        let after = keys(&moved);
+        assert!(after.iter().zip(&before).all(|(a, b)| a != b), "every piece sees another occluder");
+        let families = |level: &Level| graph(level).trace.iter().map(|t| t.family).collect::<Vec<_>>();
+        assert_eq!(families(&moved)[..4], families(&base)[..4], "the families of the others are as they were");
+        assert_ne!(families(&moved)[4], families(&base)[4]);
+
+        for change in [
+            |s: &mut Sampling| s.rays_per_sample = 64,
+            |s: &mut Sampling| s.seed = 1,
+            |s: &mut Sampling| s.back_face_limit = 0.3,
+            |s: &mut Sampling| s.kernel = Kernel::Obscurance { half_distances_m: vec![2.0] },
+            |s: &mut Sampling| s.ground_plane_y_m = Some(0.0),
+        ] {
+            let mut changed = base.clone();
+            change(&mut changed.sampling);
+            assert!(keys(&changed).iter().zip(&before).all(|(a, b)| a != b));
+        }
+    }
+
+    #[test]
+    fn all_keys_of_a_level_differ() {
+        let mut all = keys(&level());
+        all.sort_unstable();
+        all.dedup();
+        assert_eq!(all.len(), 5);
+    }
+}
