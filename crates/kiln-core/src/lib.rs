@@ -23,6 +23,6 @@ pub use settings::{
 };
 pub use solution::{ComponentMethod, ErrorEstimate, Solution, SolveSummary};
 pub use task::{
-    BakeSummary, Baked, ExportSpec, JobId, Lane, MeshSummary, PlanSpec, SolveTask, SourceFile, SourceManifest, TaskGraph,
-    TaskKey, TaskKind, TaskSpec, TraceTask,
+    BakeSummary, Baked, ExportSpec, JobId, Lane, MeshSummary, PlanSpec, SolveTask, SourceFile, SourceManifest,
+    TaskGraph, TaskKey, TaskKind, TaskSpec, TraceTask,
 };

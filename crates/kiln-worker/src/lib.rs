@@ -1,1 +1,17 @@
 //! A worker: leases tasks, runs them and streams results back.
+//!
+//! [`run`] keeps one session with the coordinator: hello, leases, heartbeats, results. A lease runs on the worker's
+//! threads while the next is already here; its results are stored together, then reported, and reported again after a
+//! reconnect until the coordinator has settled them. What a task *is* stands in [`tasks`]; where its bytes come from
+//! and go to is [`Artefacts`]: the coordinator's own store in one process, uploads and downloads elsewhere.
+
+mod artefacts;
+mod cpu_time;
+mod executor;
+mod lease;
+mod session;
+pub mod tasks;
+
+pub use artefacts::{ArtefactError, Artefacts, LocalArtefacts, RemoteArtefacts};
+pub use executor::{CancelFlag, Executor, Lanes, TaskError, TaskOutput};
+pub use session::{Role, WorkerConfig, WorkerError, run};

@@ -1,2 +1,65 @@
-//! The `kiln` command.
-fn main() {}
+//! The `kiln` command: parses, runs one command, and turns its outcome into an exit code.
+
+mod args;
+mod commands;
+mod data_folder;
+mod failure;
+mod gates;
+mod half_distances;
+mod local_farm;
+mod outcome;
+mod picture;
+mod progress;
+mod report;
+mod source;
+
+use args::{Cli, Command};
+use clap::Parser;
+use failure::Failure;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            let _ = error.print();
+            return if error.use_stderr() { failure::USAGE.into() } else { ExitCode::SUCCESS };
+        }
+    };
+    start_logs(cli.common.verbose);
+    match run(cli) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.print();
+            failure.code.into()
+        }
+    }
+}
+
+fn run(cli: Cli) -> Result<(), Failure> {
+    let common = cli.common;
+    match cli.command {
+        Command::Bake(args) => commands::bake::run(&args, &common),
+        Command::Check(args) => commands::check::run(&args, &common),
+        Command::Compare(args) => commands::compare::run(&args, &common),
+        Command::Probe(args) => commands::probe::run(&args, &common),
+        Command::View(args) => commands::view::run(&args, &common),
+        Command::Example(args) => commands::example::run(&args, &common),
+        Command::Serve(args) => commands::serve::run(&args, &common),
+        Command::Worker(args) => commands::worker::run(&args, &common),
+        Command::Submit(args) => commands::submit::run(&args, &common),
+        Command::Watch(args) => commands::watch::run(&args, &common),
+        Command::Fetch(args) => commands::fetch::run(&args, &common),
+        Command::Cancel(args) => commands::cancel::run(&args, &common),
+        Command::Ls(args) => commands::ls::run(&args, &common),
+    }
+}
+
+/// Logs go to stderr: warnings by default, more with `-v`; RUST_LOG overrides.
+fn start_logs(verbose: u8) {
+    let level = ["warn", "info", "debug", "trace"][usize::from(verbose.min(3))];
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| {
+        format!("warn,kiln={level},kiln_coordinator={level},kiln_worker={level},kiln_store={level}").into()
+    });
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false).init();
+}

@@ -1,0 +1,270 @@
+//! A job: one bake, as a pure state machine. It is told what has happened and answers with the next steps; it
+//! neither waits nor reads nor writes.
+
+pub(crate) mod answer;
+mod phase;
+mod progress;
+mod view;
+
+pub(crate) use answer::{Answer, answer_key, failure_key};
+pub(crate) use phase::{Baking, Ended, Ending, Exporting, GraphError, Outcome, Phase, Planning, Success, Waiting};
+pub(crate) use progress::{Effort, Progress};
+
+use crate::{check::Expect, events::EventLog};
+use kiln_core::{Digest, ExportSpec, JobId, Lane, PlanSpec, TaskGraph, TaskKey, TaskKind, TaskSpec};
+use kiln_proto::v1;
+use kiln_schedule::Requirements;
+use std::sync::Arc;
+
+/// A task's place in its job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Node {
+    Import,
+    Plan,
+    /// Index into [`TaskGraph::trace`].
+    Trace(u32),
+    /// Index into [`TaskGraph::solve`].
+    Solve(u32),
+    Export,
+}
+
+impl Node {
+    pub(crate) fn kind(self) -> TaskKind {
+        match self {
+            Self::Import => TaskKind::Import,
+            Self::Plan => TaskKind::Plan,
+            Self::Trace(_) => TaskKind::Trace,
+            Self::Solve(_) => TaskKind::Solve,
+            Self::Export => TaskKind::Export,
+        }
+    }
+}
+
+/// What is to be done next for a job.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Step {
+    /// Ask the store for the whole answer.
+    LookUpAnswer(TaskKey),
+    /// Ask the store for the results of tasks, and run those that it does not have.
+    LookUp(Vec<Node>),
+    /// Read a task graph.
+    ReadGraph(Digest),
+    /// Store the list of solutions.
+    StoreSolutions(Vec<(u32, Digest)>),
+    /// Read the summary of what came out.
+    ReadBaked(Digest),
+}
+
+/// A task as it is leased and checked.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Task {
+    pub(crate) key: TaskKey,
+    pub(crate) spec: TaskSpec,
+    pub(crate) cost: u64,
+    pub(crate) needs: Requirements,
+    pub(crate) locality: Digest,
+    pub(crate) expect: Expect,
+}
+
+/// What was submitted.
+#[derive(Clone, Debug)]
+pub(crate) struct Order {
+    pub(crate) id: JobId,
+    pub(crate) request_id: String,
+    /// Digest of the request: of an artefact that holds it.
+    pub(crate) payload: Digest,
+    /// Digest of the source manifest.
+    pub(crate) source: Digest,
+    pub(crate) backend: v1::Backend,
+    pub(crate) priority: i32,
+    pub(crate) name: String,
+    pub(crate) tenant: String,
+    pub(crate) submitted_unix_ms: u64,
+}
+
+/// One bake.
+#[derive(Debug)]
+pub(crate) struct Job {
+    pub(crate) order: Order,
+    pub(crate) lane: Option<Lane>,
+    pub(crate) paused: bool,
+    /// Left by an earlier coordinator and not to be touched by this one.
+    pub(crate) dormant: bool,
+    pub(crate) phase: Phase,
+    pub(crate) progress: Progress,
+    pub(crate) warnings: Vec<v1::Warning>,
+    pub(crate) events: Arc<EventLog>,
+}
+
+impl Job {
+    pub(crate) fn new(order: Order, events: EventLog) -> Self {
+        Self {
+            order,
+            lane: None,
+            paused: false,
+            dormant: false,
+            phase: Phase::Waiting(Waiting::default()),
+            progress: Progress::default(),
+            warnings: Vec::new(),
+            events: Arc::new(events),
+        }
+    }
+
+    /// Whether nothing more will be done for the job.
+    pub(crate) fn is_over(&self) -> bool {
+        matches!(self.phase, Phase::Ending(_) | Phase::Ended(_))
+    }
+
+    /// The lane is decided.
+    pub(crate) fn start(&mut self, lane: Lane) -> Step {
+        let key = answer_key(self.order.source, &lane);
+        self.lane = Some(lane);
+        self.phase = Phase::Answering;
+        Step::LookUpAnswer(key)
+    }
+
+    /// The whole answer is not known.
+    pub(crate) fn no_answer(&mut self) -> Vec<Step> {
+        if !matches!(self.phase, Phase::Answering) {
+            return Vec::new();
+        }
+        self.phase = Phase::Importing;
+        vec![Step::LookUp(vec![Node::Import])]
+    }
+
+    /// A task's result is there, for the first time.
+    pub(crate) fn done(&mut self, node: Node, result: Digest) -> Vec<Step> {
+        match (&mut self.phase, node) {
+            (Phase::Importing, Node::Import) => {
+                self.phase = Phase::Planning(Planning { level: result });
+                vec![Step::LookUp(vec![Node::Plan])]
+            }
+            (Phase::Planning(_), Node::Plan) => vec![Step::ReadGraph(result)],
+            (Phase::Baking(baking), Node::Trace(piece)) => {
+                baking.traced(piece, result).map(|solve| Step::LookUp(vec![solve])).into_iter().collect()
+            }
+            (Phase::Baking(baking), Node::Solve(solve)) => match baking.solved(solve, result) {
+                true => vec![Step::StoreSolutions(baking.solutions())],
+                false => Vec::new(),
+            },
+            (Phase::Exporting(_), Node::Export) => vec![Step::ReadBaked(result)],
+            _ => Vec::new(),
+        }
+    }
+
+    /// The task graph was read.
+    pub(crate) fn planned(&mut self, graph: TaskGraph) -> Result<Vec<Step>, GraphError> {
+        let Phase::Planning(planning) = &self.phase else { return Ok(Vec::new()) };
+        self.warnings = graph.warnings.iter().map(Into::into).collect();
+        let baking = Baking::new(planning.level, graph)?;
+        let steps = match baking.is_solved() {
+            true => vec![Step::StoreSolutions(Vec::new())],
+            false => vec![Step::LookUp(baking.first())],
+        };
+        // Instances that wait for their pieces are counted now, so that the total is right from the start.
+        for task in &baking.graph.trace {
+            self.progress.planned(TaskKind::Trace, task.ray_count);
+        }
+        baking.graph.solve.iter().for_each(|_| self.progress.planned(TaskKind::Solve, 0));
+        self.phase = Phase::Baking(Box::new(baking));
+        Ok(steps)
+    }
+
+    /// The list of solutions was stored.
+    pub(crate) fn solved(&mut self, solutions: Digest) -> Vec<Step> {
+        let Phase::Baking(baking) = &self.phase else { return Vec::new() };
+        self.phase = Phase::Exporting(Exporting { level: baking.graph.level, solutions });
+        vec![Step::LookUp(vec![Node::Export])]
+    }
+
+    /// The whole answer, or the export's summary, was read.
+    pub(crate) fn succeed(&mut self, success: Success) {
+        // The export's summary repeats import's warnings and adds its own.
+        self.warnings = success.baked.summary.warnings.iter().map(Into::into).collect();
+        self.end(Outcome::Succeeded(Box::new(success)));
+    }
+
+    /// The outcome is decided, unless one was before; tells whether it counts.
+    pub(crate) fn end(&mut self, outcome: Outcome) -> bool {
+        if self.is_over() {
+            return false;
+        }
+        let shown = self.phase.shown();
+        self.phase = Phase::Ending(Ending { outcome, shown, retry_at_ms: None });
+        true
+    }
+
+    /// A task of the job, as long as the job is where the task belongs and its inputs are known.
+    pub(crate) fn task(&self, node: Node) -> Option<Task> {
+        let lane = self.lane.as_ref()?;
+        let source = self.order.source;
+        let whole = |spec: TaskSpec, locality, expect| Task {
+            key: spec.whole_key(),
+            spec,
+            cost: 1,
+            needs: Requirements::default(),
+            locality,
+            expect,
+        };
+        match (&self.phase, node) {
+            (Phase::Importing, Node::Import) => Some(whole(TaskSpec::Import { source }, source, Expect::Level)),
+            (Phase::Planning(Planning { level }), Node::Plan) => {
+                let spec = TaskSpec::Plan(PlanSpec { level: *level, lane: lane.clone() });
+                Some(whole(spec, *level, Expect::Graph { level: *level }))
+            }
+            (Phase::Baking(baking), Node::Trace(piece)) => Some(trace(&baking.graph, piece, lane)),
+            (Phase::Baking(baking), Node::Solve(solve)) => Self::solve(baking, solve, lane),
+            (Phase::Exporting(Exporting { level, solutions }), Node::Export) => {
+                let spec = TaskSpec::Export(ExportSpec { source, level: *level, solutions: *solutions });
+                Some(whole(spec, *level, Expect::Baked { level: *level }))
+            }
+            _ => None,
+        }
+    }
+
+    /// Rays that a task may take: none unless it traces.
+    pub(crate) fn rays(&self, node: Node) -> u64 {
+        if matches!(node, Node::Trace(_)) { self.cost(node).unwrap_or(0) } else { 0 }
+    }
+
+    /// What leases are filled by: rays of a trace task, vertices of a solve task.
+    pub(crate) fn cost(&self, node: Node) -> Option<u64> {
+        match (&self.phase, node) {
+            (Phase::Baking(baking), Node::Trace(piece)) => Some(baking.graph.trace.get(piece as usize)?.ray_count),
+            (Phase::Baking(baking), Node::Solve(solve)) => {
+                Some(u64::from(baking.graph.solve.get(solve as usize)?.vertex_count))
+            }
+            _ => None,
+        }
+    }
+
+    fn solve(baking: &Baking, solve: u32, lane: &Lane) -> Option<Task> {
+        let moments = baking.inputs(solve)?;
+        let task = &baking.graph.solve[solve as usize];
+        let level = baking.graph.level;
+        let channels = baking.graph.sampling.kernel.channel_count();
+        Some(Task {
+            key: task.key(&moments),
+            spec: TaskSpec::Solve { level, instance: task.instance, moments },
+            cost: u64::from(task.vertex_count),
+            needs: Requirements { lane: Some(lane.solve.clone()), memory_bytes: 0 },
+            locality: level,
+            expect: Expect::Solution { vertices: task.vertex_count as usize, channels },
+        })
+    }
+}
+
+fn trace(graph: &TaskGraph, piece: u32, lane: &Lane) -> Task {
+    let task = &graph.trace[piece as usize];
+    Task {
+        key: task.key,
+        spec: TaskSpec::Trace { level: graph.level, task: task.clone() },
+        cost: task.ray_count,
+        needs: Requirements { lane: Some(lane.trace.clone()), memory_bytes: 0 },
+        locality: graph.level,
+        expect: Expect::Moments { faces: task.face_count as usize, channels: graph.sampling.kernel.channel_count() },
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

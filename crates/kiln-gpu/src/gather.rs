@@ -1,0 +1,179 @@
+//! The gather kernel: makes the rays of samples, traces them and brings back sums; the host side of `gather.wgsl`.
+//!
+//! A workgroup of 64 lanes serves a group of neighbouring samples: two cones of 32 lanes, each lane with one sample
+//! for good. Step by step the cones take the cells of the unit square ([`crate::sampling`]), so that the 32 lanes of a
+//! cone always look the same way; a lane adds up the values of its rays in registers, as integers, and at the end the
+//! first lane of each sample adds its neighbours' sums. Nothing is added atomically, and since integer sums know no
+//! order, what is dispatched together changes no result. Two cones a workgroup, since some GPUs run 64 lanes at a
+//! time and others limit the number of workgroups below that of their warps.
+//!
+//! Source of the cones: the paper's groups of 32 rays; here the samples of a group share them.
+//!
+//! Where a sample has many rays its cells are cut into slices, each a workgroup of its own, whose sums the host adds.
+
+use crate::{
+    GpuTracer,
+    device::Call,
+    kernel::Kernel,
+    sampling::{CONE_LANES, Cones},
+    shader::Entry,
+    traverse::MOST_DISTANCE,
+};
+use bytemuck::{Pod, Zeroable, bytes_of, cast_slice, pod_read_unaligned};
+use kiln_trace::{CosineSums, KernelRates, SurfaceSample, TraceError};
+
+/// Lanes of a workgroup, of every kernel.
+pub(crate) const LANES: u32 = 64;
+const CONES_PER_WORKGROUP: u32 = LANES / CONE_LANES;
+
+/// The most cells of one workgroup: 32 rays for each lane.
+const CELLS_PER_SLICE: u32 = 32 * CONES_PER_WORKGROUP;
+
+/// Samples, and results, of one dispatch at most; a multiple of 32.
+const MAX_SAMPLES: u64 = 1 << 18;
+
+/// Keep in sync with `GatherParams` in `gather.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct GatherParams {
+    kernel: Kernel,
+    cones: Cones,
+    t_max: f32,
+    sample_count: u32,
+    cells_per_slice: u32,
+    first_slice: u32,
+}
+
+/// A sample, as `samples` in `gather.wgsl` and `values` in `probe.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+pub(crate) struct SampleRecord {
+    origin: [f32; 3],
+    first_index: u32,
+    normal: [f32; 3],
+    scramble_0: u32,
+    geometric: [f32; 3],
+    scramble_1: u32,
+}
+
+/// The sums of a sample over a slice, as `sums` in `gather.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct SumsRecord {
+    values: [u32; 4],
+    rays: u32,
+    back_faces: u32,
+}
+
+const _: () = {
+    assert!(size_of::<GatherParams>() == 80);
+    assert!(size_of::<SampleRecord>() == 48);
+    assert!(size_of::<SumsRecord>() == 24);
+};
+
+impl From<&SurfaceSample> for SampleRecord {
+    fn from(sample: &SurfaceSample) -> Self {
+        let [scramble_0, scramble_1] = sample.scramble.0;
+        Self {
+            origin: sample.origin.to_array(),
+            first_index: sample.first_index,
+            normal: sample.normal.to_array(),
+            scramble_0,
+            geometric: sample.geometric.to_array(),
+            scramble_1,
+        }
+    }
+}
+
+/// One call of `gather_cosine`.
+pub(crate) struct Gather<'a> {
+    pub(crate) tracer: &'a GpuTracer,
+    pub(crate) rates: &'a KernelRates,
+    pub(crate) rays_per_sample: u32,
+}
+
+impl Gather<'_> {
+    pub(crate) fn run(&self, samples: &[SurfaceSample], sums: &mut [CosineSums]) -> Result<(), TraceError> {
+        sums.fill(CosineSums::default());
+        let cones = Cones::new(self.rays_per_sample, samples.len());
+        let slices = cones.cell_count().div_ceil(CELLS_PER_SLICE);
+        let rays_per_slice = u64::from(self.rays_per_sample / slices);
+        let group = cones.samples_per_cone() as usize;
+        let mut rest = (samples, sums);
+        while !rest.0.is_empty() {
+            // As many whole groups as the budget has rays for; if not even one, then a part of its slices.
+            let budget = self.tracer.ray_budget();
+            let most = self.most_samples(group).min(budget / u64::from(self.rays_per_sample));
+            let count = (usize::try_from(most).unwrap_or(usize::MAX) / group).max(1) * group;
+            let count = count.min(rest.0.len());
+            let (now, later) = rest.0.split_at(count);
+            let (now_sums, later_sums) = std::mem::take(&mut rest.1).split_at_mut(count);
+            rest = (later, later_sums);
+            let records: Vec<SampleRecord> = now.iter().map(SampleRecord::from).collect();
+            let mut first_slice = 0;
+            while first_slice < slices {
+                let fitting = (self.tracer.ray_budget().min(MAX_SAMPLES * rays_per_slice)
+                    / (count as u64 * rays_per_slice))
+                    .max(1);
+                let slice_count = u32::try_from(fitting).unwrap_or(u32::MAX).min(slices - first_slice);
+                self.dispatch(&cones, &records, first_slice, slice_count, now_sums)?;
+                first_slice += slice_count;
+            }
+        }
+        Ok(())
+    }
+
+    /// What one dispatch may have by the number of its workgroups and the size of its buffers.
+    fn most_samples(&self, group: usize) -> u64 {
+        let workgroups = u64::from(self.tracer.gpu().limits().max_compute_workgroups_per_dimension);
+        (workgroups * group as u64).min(MAX_SAMPLES)
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "a dispatch has at most MAX_SAMPLES samples")]
+    fn dispatch(
+        &self,
+        cones: &Cones,
+        records: &[SampleRecord],
+        first_slice: u32,
+        slice_count: u32,
+        sums: &mut [CosineSums],
+    ) -> Result<(), TraceError> {
+        let params = GatherParams {
+            kernel: Kernel::new(self.rates),
+            cones: *cones,
+            t_max: self.rates.t_max.min(MOST_DISTANCE),
+            sample_count: records.len() as u32,
+            cells_per_slice: CELLS_PER_SLICE,
+            first_slice,
+        };
+        let groups = (records.len() as u32).div_ceil(cones.samples_per_cone());
+        let kernel = self.tracer.kernel(Entry::Gather)?;
+        let call = Call {
+            kernel: &kernel,
+            scene: Some(self.tracer.scene_group()),
+            params: bytes_of(&params),
+            input: cast_slice(records),
+            output_bytes: u64::from(slice_count) * (records.len() * size_of::<SumsRecord>()) as u64,
+            workgroups: [groups, slice_count],
+        };
+        let cells = cones.cell_count().min(CELLS_PER_SLICE) * slice_count;
+        let rays = u64::from(cells * cones.rays_per_cell()) * records.len() as u64;
+        let elapsed = self.tracer.gpu().run(&call, |bytes| {
+            for slice in bytes.chunks_exact(records.len() * size_of::<SumsRecord>()) {
+                for (sum, record) in sums.iter_mut().zip(slice.chunks_exact(size_of::<SumsRecord>())) {
+                    add(sum, &pod_read_unaligned(record));
+                }
+            }
+        })?;
+        self.tracer.observe(rays, elapsed);
+        Ok(())
+    }
+}
+
+fn add(sum: &mut CosineSums, record: &SumsRecord) {
+    for (total, value) in sum.values.iter_mut().zip(record.values) {
+        *total += value;
+    }
+    sum.rays += record.rays;
+    sum.back_faces += record.back_faces;
+}

@@ -1,0 +1,113 @@
+//! Shaders from their sources. WGSL has no includes: a kernel's modules are joined, after a prelude that is
+//! made for the shape of the scene.
+
+use std::fmt::Write;
+
+/// The kernels, by entry point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Entry {
+    Gather,
+    Trace,
+    Directions,
+    HitValues,
+}
+
+impl Entry {
+    #[cfg(test)]
+    pub(crate) const ALL: [Self; 4] = [Self::Gather, Self::Trace, Self::Directions, Self::HitValues];
+
+    /// The entry point's name.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Gather => "gather",
+            Self::Trace => "trace",
+            Self::Directions => "directions",
+            Self::HitValues => "hit_values",
+        }
+    }
+
+    /// Whether it reads a scene.
+    pub(crate) fn is_traced(self) -> bool {
+        matches!(self, Self::Gather | Self::Trace)
+    }
+
+    fn modules(self) -> &'static [&'static str] {
+        const SAMPLING: &str = include_str!("sampling.wgsl");
+        const KERNEL: &str = include_str!("kernel.wgsl");
+        const TRAVERSE: &str = include_str!("traverse.wgsl");
+        match self {
+            Self::Gather => &[SAMPLING, KERNEL, TRAVERSE, include_str!("gather.wgsl")],
+            Self::Trace => &[TRAVERSE, include_str!("trace.wgsl")],
+            Self::Directions | Self::HitValues => &[SAMPLING, KERNEL, include_str!("probe.wgsl")],
+        }
+    }
+}
+
+/// What of a scene its shaders are made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct SceneShape {
+    /// Storage bindings that the geometry is spread over, at least 1.
+    pub(crate) bindings: u32,
+    /// Each binding but the last holds `2^binding_shift` words of 16 bytes.
+    pub(crate) binding_shift: u32,
+    /// Entries of the traversal stack.
+    pub(crate) stack_entries: u32,
+}
+
+/// The whole source of a kernel. `shape` is not looked at by kernels that read no scene.
+pub(crate) fn source(entry: Entry, shape: &SceneShape) -> String {
+    let mut text = if entry.is_traced() { prelude(shape) } else { String::new() };
+    for module in entry.modules() {
+        text.push_str(module);
+        text.push('\n');
+    }
+    text
+}
+
+/// Declares the scene's bindings, and `geometry`, which makes one array of them.
+fn prelude(shape: &SceneShape) -> String {
+    let mut text = format!(
+        "const STACK_ENTRIES: u32 = {}u;\n@group(1) @binding(0) var<uniform> scene: SceneInfo;\n",
+        shape.stack_entries
+    );
+    let array = |i: u32| format!("@group(1) @binding({}) var<storage, read> geometry_{i}: array<vec4<u32>>;\n", i + 1);
+    text.extend((0..shape.bindings).map(array));
+    text.push_str("fn geometry(word: u32) -> vec4<u32> {\n");
+    if shape.bindings == 1 {
+        text.push_str("    return geometry_0[word];\n}\n");
+        return text;
+    }
+    let (shift, mask) = (shape.binding_shift, (1u64 << shape.binding_shift) - 1);
+    let _ = writeln!(text, "    switch word >> {shift}u {{");
+    for i in 0..shape.bindings {
+        let case = if i + 1 < shape.bindings { format!("case {i}u:") } else { "default".to_owned() };
+        let _ = writeln!(text, "        {case} {{ return geometry_{i}[word & {mask}u]; }}");
+    }
+    text.push_str("    }\n}\n");
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use wgpu::naga;
+
+    #[test]
+    fn every_shader_is_valid() {
+        let shapes = [(1, 31, 16), (2, 23, 96), (8, 27, 192)];
+        for entry in Entry::ALL {
+            for (bindings, binding_shift, stack_entries) in shapes {
+                let text = source(entry, &SceneShape { bindings, binding_shift, stack_entries });
+                let module = naga::front::wgsl::parse_str(&text)
+                    .unwrap_or_else(|error| panic!("{}: {}", entry.name(), error.emit_to_string(&text)));
+                let (flags, capabilities) = (naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
+                naga::valid::Validator::new(flags, capabilities)
+                    .validate(&module)
+                    .unwrap_or_else(|error| panic!("{}: {}", entry.name(), error.emit_to_string(&text)));
+                let point =
+                    module.entry_points.iter().find(|point| point.name == entry.name()).expect("an entry point");
+                assert_eq!(point.workgroup_size, [crate::gather::LANES, 1, 1]);
+            }
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! The GPU as a [`Tracer`].
+
+use crate::{
+    GpuDevice, GpuError,
+    budget::Budget,
+    device::{CompiledKernel, lock},
+    gather::Gather,
+    shader::Entry,
+    trace,
+    traverse::SceneBuffers,
+};
+use kiln_trace::{CosineSums, Hit, KernelRates, MAX_RAYS_PER_SAMPLE, Ray, Scene, SurfaceSample, TraceError, Tracer};
+use std::{
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+/// Traces on a device, over a scene that was sent there. It does not keep the [`Scene`].
+///
+/// Calls may come from several threads; their dispatches, some 20 to 50 ms each, take turns.
+#[derive(Debug)]
+pub struct GpuTracer {
+    gpu: Arc<GpuDevice>,
+    scene: SceneBuffers,
+    budget: Mutex<Budget>,
+}
+
+impl GpuTracer {
+    /// Sends a scene to a device.
+    ///
+    /// Fails with [`TraceError::TooLarge`] where the scene exceeds the device's limits or memory.
+    pub fn new(gpu: Arc<GpuDevice>, scene: &Scene) -> Result<Self, GpuError> {
+        Self::with_binding_bytes(gpu, scene, u64::MAX)
+    }
+
+    /// As [`GpuTracer::new`], with a lower limit than the device's own to the bytes of one storage binding: tests
+    /// use it to spread a small scene over several.
+    pub fn with_binding_bytes(gpu: Arc<GpuDevice>, scene: &Scene, binding_bytes: u64) -> Result<Self, GpuError> {
+        let scene = SceneBuffers::upload(&gpu, scene, binding_bytes)?;
+        // Compiled here, so that a driver that cannot is known before there is work.
+        gpu.kernel(Entry::Gather, &scene.shape)?;
+        Ok(Self { gpu, scene, budget: Mutex::new(Budget::new()) })
+    }
+
+    /// The device.
+    pub fn gpu(&self) -> &GpuDevice {
+        &self.gpu
+    }
+
+    /// The scene's size in the device's memory, bytes.
+    pub fn memory_bytes(&self) -> u64 {
+        self.scene.memory_bytes
+    }
+
+    /// Storage bindings that the scene is spread over.
+    pub fn binding_count(&self) -> u32 {
+        self.scene.shape.bindings
+    }
+
+    pub(crate) fn scene_group(&self) -> &wgpu::BindGroup {
+        &self.scene.group
+    }
+
+    pub(crate) fn kernel(&self, entry: Entry) -> Result<Arc<CompiledKernel>, TraceError> {
+        self.gpu.kernel(entry, &self.scene.shape).map_err(|error| match error {
+            GpuError::Trace(error) => error,
+            other => self.gpu.lost(other.to_string()),
+        })
+    }
+
+    pub(crate) fn ray_budget(&self) -> u64 {
+        lock(&self.budget).rays()
+    }
+
+    pub(crate) fn observe(&self, rays: u64, elapsed: Duration) {
+        lock(&self.budget).observe(rays, elapsed);
+    }
+}
+
+impl Tracer for GpuTracer {
+    fn gather_cosine(
+        &self,
+        samples: &[SurfaceSample],
+        kernel: &KernelRates,
+        rays_per_sample: u32,
+        sums: &mut [CosineSums],
+    ) -> Result<(), TraceError> {
+        assert!(
+            rays_per_sample.is_power_of_two() && rays_per_sample <= MAX_RAYS_PER_SAMPLE,
+            "{rays_per_sample} rays per sample is no power of two up to {MAX_RAYS_PER_SAMPLE}"
+        );
+        assert_eq!(samples.len(), sums.len(), "one sum for each sample");
+        debug_assert!(samples.iter().all(|sample| sample.first_index.is_multiple_of(rays_per_sample)));
+        Gather { tracer: self, rates: kernel, rays_per_sample }.run(samples, sums)
+    }
+
+    fn trace(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<(), TraceError> {
+        assert_eq!(rays.len(), hits.len(), "one hit for each ray");
+        trace::run(self, rays, hits)
+    }
+}

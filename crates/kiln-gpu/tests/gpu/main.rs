@@ -1,0 +1,26 @@
+//! The GPU tracer on a software Vulkan driver: one program, since all its tests share a device.
+
+mod contract;
+mod faults;
+mod oracles;
+mod probes;
+#[expect(dead_code, reason = "the benchmark uses the rest")]
+mod scenes;
+
+use kiln_gpu::{AdapterChoice, GpuDevice};
+use std::sync::{Arc, OnceLock};
+
+/// One device for all tests. Without a driver they fail: they never pass by doing nothing.
+fn device() -> Arc<GpuDevice> {
+    static DEVICE: OnceLock<Arc<GpuDevice>> = OnceLock::new();
+    Arc::clone(DEVICE.get_or_init(open_device))
+}
+
+/// A device of one's own.
+fn open_device() -> Arc<GpuDevice> {
+    let device = GpuDevice::open(&AdapterChoice::Software).expect("the software adapter opens");
+    device.expect(
+        "these tests need a software Vulkan driver; on Debian or Ubuntu: \
+         apt-get install -y mesa-vulkan-drivers libvulkan1",
+    )
+}

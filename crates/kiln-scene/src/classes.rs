@@ -1,0 +1,120 @@
+//! Which class each primitive of each node falls into, and what that means for its faces.
+//!
+//! The first rule of the sidecar that matches the name of the node, the mesh or the material decides; where none
+//! does, `extras.kiln.class` of the node, of the mesh or of the material, in this order; else it is `opaque`.
+
+use crate::{SceneError, json::Item, material::Material, sidecar::ClassRule};
+use kiln_core::{Class, FaceGroup};
+
+/// Samples per face of a distant object whose rule sets none.
+const DISTANT_SAMPLES_PER_FACE: u32 = 4;
+
+const CLASSES: [(&str, Class); 6] = [
+    ("opaque", Class::Opaque),
+    ("distant", Class::Distant),
+    ("ignored", Class::Ignored),
+    ("tree", Class::Tree),
+    ("shrub", Class::Shrub),
+    ("decorator", Class::Decorator),
+];
+
+/// Classes of the design that nothing computes yet.
+const LATER: [&str; 2] = ["instanced", "dynamic"];
+
+/// Finds a class by its name; the error says what is wrong and what to do.
+pub(crate) fn parse_class(name: &str) -> Result<Class, (String, String)> {
+    if let Some((_, class)) = CLASSES.iter().find(|(known, _)| *known == name) {
+        return Ok(*class);
+    }
+    if LATER.contains(&name) {
+        let advice = "use \"opaque\" or \"ignored\" until it is";
+        return Err((format!("the class {name:?} is not supported yet"), advice.to_owned()));
+    }
+    let names: Vec<_> = CLASSES.iter().map(|(name, _)| *name).collect();
+    let nearest = crate::sidecar::nearest(name, &names);
+    Err((format!("there is no class {name:?}"), format!("did you mean {nearest:?}? There are {}", names.join(", "))))
+}
+
+/// The class that an object of the document gives itself.
+pub(crate) fn class_from_extras(item: &Item<'_>) -> Result<Option<Class>, SceneError> {
+    let Some(class) = item.get("extras").and_then(|e| e.get("kiln")?.get("class")) else { return Ok(None) };
+    let advice = "use opaque, distant, ignored, tree, shrub or decorator";
+    parse_class(class.string()?).map(Some).map_err(|(problem, _)| class.invalid_with(problem, advice))
+}
+
+/// The names and extras by which a primitive of a node is classified.
+pub(crate) struct Subject<'a> {
+    pub(crate) node: &'a str,
+    pub(crate) mesh: &'a str,
+    pub(crate) material: &'a Material,
+    /// The class from the node's extras, else from the mesh's.
+    pub(crate) extras: Option<Class>,
+}
+
+/// What the faces of a subject are to the bake, and the index of the rule that says so.
+pub(crate) fn classify(rules: &[ClassRule], subject: &Subject<'_>) -> (Class, FaceGroup, Option<usize>) {
+    let names = [subject.node, subject.mesh, &subject.material.name];
+    let rule = rules.iter().position(|rule| names.iter().any(|name| !name.is_empty() && rule.matches(name)));
+    let from_rule = rule.map(|index| &rules[index]);
+    let class = from_rule.map(|rule| rule.class).or(subject.extras).or(subject.material.class).unwrap_or_default();
+    let default_cap = (class == Class::Distant).then_some(DISTANT_SAMPLES_PER_FACE);
+    let group = FaceGroup {
+        class,
+        double_sided: subject.material.double_sided,
+        occludes: from_rule.and_then(|rule| rule.occludes).unwrap_or(!subject.material.transparent),
+        receives: from_rule.and_then(|rule| rule.receives).unwrap_or(true),
+        max_samples_per_face: from_rule.and_then(|rule| rule.max_samples_per_face).or(default_cap),
+    };
+    let inert = class == Class::Ignored || !(group.occludes || group.receives);
+    (if inert { Class::Ignored } else { class }, group, rule)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sidecar::{Sidecar, SidecarText};
+
+    fn rules(text: &str) -> Vec<ClassRule> {
+        Sidecar::parse(SidecarText { name: "l.kiln.toml", text }).unwrap().classes
+    }
+
+    fn classify_node(
+        rules: &[ClassRule],
+        node: &str,
+        material: &Material,
+        extras: Option<Class>,
+    ) -> (Class, FaceGroup) {
+        let (class, group, _) = classify(rules, &Subject { node, mesh: "m", material, extras });
+        (class, group)
+    }
+
+    #[test]
+    fn the_first_rule_wins_over_extras() {
+        let rules = rules(
+            "[[class]]\nmatch = 'far_*'\nclass = 'distant'\n[[class]]\nmatch = 'far_tree*'\nclass = 'tree'\n\
+             [[class]]\nmatch = 'leaf'\nclass = 'decorator'\nmax_samples_per_face = 2\n",
+        );
+        let plain = Material::default();
+        let leaf = Material { name: "leaf".to_owned(), ..Material::default() };
+        let (class, group) = classify_node(&rules, "far_tree_1", &leaf, Some(Class::Shrub));
+        assert_eq!((class, group.max_samples_per_face), (Class::Distant, Some(4)));
+        let (class, group) = classify_node(&rules, "near", &leaf, Some(Class::Shrub));
+        assert_eq!((class, group.max_samples_per_face), (Class::Decorator, Some(2)));
+        assert_eq!(classify_node(&rules, "near", &plain, Some(Class::Shrub)).0, Class::Shrub);
+        let own = Material { class: Some(Class::Ignored), ..Material::default() };
+        assert_eq!(classify_node(&rules, "near", &own, None).0, Class::Ignored);
+        assert_eq!(classify_node(&rules, "near", &plain, None).0, Class::Opaque);
+    }
+
+    #[test]
+    fn transparency_and_overrides() {
+        let glass = Material { transparent: true, double_sided: true, ..Material::default() };
+        let (_, group) = classify_node(&[], "n", &glass, None);
+        assert!(!group.occludes && group.receives && group.double_sided);
+        let rules = rules("[[class]]\nmatch = 'n'\nclass = 'opaque'\noccludes = true\nreceives = false\n");
+        let (_, group) = classify_node(&rules, "n", &glass, None);
+        assert!(group.occludes && !group.receives);
+        let neither = self::rules("[[class]]\nmatch = 'n'\nclass = 'opaque'\nreceives = false\n");
+        assert_eq!(classify_node(&neither, "n", &glass, None).0, Class::Ignored);
+    }
+}

@@ -1,0 +1,172 @@
+//! Cleaning of a mesh's faces, on Kiln's own copy: faces without area and repeated faces go, and the rest is put
+//! into an order that depends on nothing but the geometry.
+//!
+//! Each face is turned so that it starts at its corner with the least position bits (the winding stays), and faces
+//! are sorted by the 63-bit Morton code of their centroid within the mesh's bounds, then by the position bits of
+//! their corners, group and vertices. So a permutation of the source's faces, or of the corners of one, gives the
+//! same mesh, a contiguous run of faces is compact, and faces that repeat one another are neighbours.
+
+use glam::DVec3;
+use kiln_core::Bounds;
+use rayon::slice::ParallelSliceMut;
+
+/// A face is without area if twice its area is at most this part of its longest edge squared. Positions have 24
+/// bits, so a face that is thinner than 2⁻³⁰ of its length is a line as far as its own positions tell.
+const FLATNESS: f64 = 1.0 / (1u64 << 30) as f64;
+
+/// A face of the source: vertices and group.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Face {
+    pub(crate) vertices: [u32; 3],
+    pub(crate) group: u16,
+}
+
+/// Clean faces, and how many were left out.
+#[derive(Debug, Default, PartialEq)]
+pub(crate) struct Cleaned {
+    pub(crate) faces: Vec<Face>,
+    /// Bounds of the clean faces.
+    pub(crate) bounds: Option<Bounds>,
+    pub(crate) degenerate: u64,
+    pub(crate) duplicate: u64,
+}
+
+/// Cleans and sorts. All vertices of the faces must be in range and finite.
+pub(crate) fn clean(positions: &[[f32; 3]], mut faces: Vec<Face>) -> Cleaned {
+    let source_count = faces.len();
+    faces.retain(|face| !is_degenerate(positions, face));
+    let degenerate = (source_count - faces.len()) as u64;
+    if faces.is_empty() {
+        return Cleaned { degenerate, ..Cleaned::default() };
+    }
+    let mut bounds = Bounds::EMPTY;
+    for face in &mut faces {
+        face.vertices = rotated(positions, face.vertices);
+        face.vertices.iter().for_each(|&vertex| bounds.add(position(positions, vertex)));
+    }
+    let mut keyed: Vec<(u64, Face)> =
+        faces.iter().map(|face| (morton(&centroid(positions, face), &bounds), *face)).collect();
+    let corners = |face: &Face| face.vertices.map(|vertex| bits(positions, vertex));
+    keyed.par_sort_unstable_by(|(code_a, a), (code_b, b)| {
+        let order = code_a.cmp(code_b);
+        order.then_with(|| (corners(a), a.group, a.vertices).cmp(&(corners(b), b.group, b.vertices)))
+    });
+    let sorted_count = keyed.len();
+    keyed.dedup_by(|(_, next), (_, kept)| next.group == kept.group && corners(next) == corners(kept));
+    let duplicate = (sorted_count - keyed.len()) as u64;
+    Cleaned { faces: keyed.into_iter().map(|(_, face)| face).collect(), bounds: Some(bounds), degenerate, duplicate }
+}
+
+fn position(positions: &[[f32; 3]], vertex: u32) -> DVec3 {
+    DVec3::from(positions[vertex as usize].map(f64::from))
+}
+
+/// The bits of a position; the two zeros count as one.
+fn bits(positions: &[[f32; 3]], vertex: u32) -> [u32; 3] {
+    positions[vertex as usize].map(|coordinate| (coordinate + 0.0).to_bits())
+}
+
+fn is_degenerate(positions: &[[f32; 3]], face: &Face) -> bool {
+    let [a, b, c] = face.vertices.map(|vertex| position(positions, vertex));
+    let (ab, ac, bc) = (b - a, c - a, c - b);
+    let longest = ab.length_squared().max(ac.length_squared()).max(bc.length_squared());
+    ab.cross(ac).length() <= FLATNESS * longest
+}
+
+/// The vertices of a face, from the one with the least position bits on.
+fn rotated(positions: &[[f32; 3]], vertices: [u32; 3]) -> [u32; 3] {
+    let least = (0..3).min_by_key(|&corner| bits(positions, vertices[corner])).unwrap_or(0);
+    std::array::from_fn(|corner| vertices[(least + corner) % 3])
+}
+
+fn centroid(positions: &[[f32; 3]], face: &Face) -> DVec3 {
+    let [a, b, c] = face.vertices.map(|vertex| position(positions, vertex));
+    (a + b + c) / 3.0
+}
+
+/// The Morton code (z-order) of a point within bounds: 21 bits for each axis, x lowest.
+fn morton(point: &DVec3, bounds: &Bounds) -> u64 {
+    const CELLS: f64 = (1u64 << 21) as f64;
+    let size = bounds.max - bounds.min;
+    let fraction = (*point - bounds.min) / DVec3::select(size.cmpgt(DVec3::ZERO), size, DVec3::ONE);
+    let cell = (fraction * CELLS).clamp(DVec3::ZERO, DVec3::splat(CELLS - 1.0));
+    spread(cell.x as u64) | spread(cell.y as u64) << 1 | spread(cell.z as u64) << 2
+}
+
+/// Moves bit i of a 21-bit number to bit 3 i.
+const fn spread(x: u64) -> u64 {
+    let x = (x | x << 32) & 0x001f_0000_0000_ffff;
+    let x = (x | x << 16) & 0x001f_0000_ff00_00ff;
+    let x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
+    let x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
+    (x | x << 2) & 0x1249_2492_4924_9249
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn face(vertices: [u32; 3]) -> Face {
+        Face { vertices, group: 0 }
+    }
+
+    #[test]
+    fn bits_are_spread() {
+        for x in [0u64, 1, 0b101, 0x1f_ffff, 0x12_3456] {
+            let expected = (0..21).fold(0, |sum, bit| sum | (x >> bit & 1) << (3 * bit));
+            assert_eq!(spread(x), expected);
+        }
+    }
+
+    #[test]
+    fn degeneracy_does_not_depend_on_scale() {
+        for scale in [1e-18f32, 1.0, 1e18] {
+            let positions = [[0.0, 0.0, 0.0], [scale, 0.0, 0.0], [0.0, scale * 1e-4, 0.0], [scale * 2.0, 0.0, 0.0]];
+            let faces = vec![face([0, 1, 2]), face([0, 1, 3]), face([0, 1, 1])];
+            let cleaned = clean(&positions, faces);
+            assert_eq!((cleaned.faces.len(), cleaned.degenerate), (1, 2), "{scale}");
+        }
+    }
+
+    #[test]
+    fn repeated_corners_by_position() {
+        let positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-0.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        let cleaned = clean(&positions, vec![face([0, 1, 2]), face([0, 1, 3]), face([3, 2, 1])]);
+        assert_eq!((cleaned.degenerate, cleaned.duplicate), (1, 1));
+        assert_eq!(cleaned.faces, [face([0, 1, 3])]);
+    }
+
+    #[test]
+    fn facing_and_group_tell_faces_apart() {
+        let positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        let other_group = Face { vertices: [1, 2, 0], group: 1 };
+        let cleaned = clean(&positions, vec![face([0, 1, 2]), face([2, 0, 1]), face([1, 0, 2]), other_group]);
+        assert_eq!((cleaned.faces.len(), cleaned.duplicate), (3, 1));
+    }
+
+    proptest! {
+        #[test]
+        fn order_of_the_source_does_not_matter(
+            positions in proptest::collection::vec(prop::array::uniform3(-3i8..4), 3..12),
+            corners in proptest::collection::vec((any::<[u8; 3]>(), 0u16..2), 1..40),
+            seed in any::<u64>(),
+        ) {
+            let positions: Vec<[f32; 3]> = positions.iter().map(|p| p.map(f32::from)).collect();
+            let vertex = |index: u8| u32::from(index) % positions.len() as u32;
+            let faces: Vec<Face> =
+                corners.iter().map(|&(c, group)| Face { vertices: c.map(vertex), group }).collect();
+            let mut shuffled = faces.clone();
+            let mut state = seed;
+            for i in (1..shuffled.len()).rev() {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                shuffled.swap(i, (state >> 33) as usize % (i + 1));
+                shuffled[i].vertices.rotate_left((state >> 20) as usize % 3);
+            }
+            let cleaned = clean(&positions, faces.clone());
+            prop_assert_eq!(&cleaned, &clean(&positions, shuffled));
+            let all = cleaned.faces.len() as u64 + cleaned.degenerate + cleaned.duplicate;
+            prop_assert_eq!(all, faces.len() as u64);
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! Export: the source with the baked values added, as one .glb.
+//!
+//! The document's JSON is edited as it stands and never goes through types, so that whatever Kiln doesn't know
+//! survives; the source's binary data is the unchanged start of the output's, and new data follow it. Each instance
+//! needs a mesh of its own that shares all accessors but its values: where every node that uses a mesh is baked, the
+//! first keeps the mesh and the others get copies; where some are not, the mesh stays as it is and all baked nodes
+//! get copies.
+
+mod assign;
+mod buffers;
+#[cfg(test)]
+mod tests;
+mod values;
+
+use crate::{
+    SceneError, SourceFiles,
+    document::{Document, read_level},
+    findings::{Finding, Findings},
+    glb::{Glb, GlbError},
+    json::Item,
+    limits,
+};
+use assign::assign;
+use buffers::Binary;
+use kiln_core::{Digest, Instance, Kernel, Level, MeshEntry, Warning};
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+
+/// Values of one instance.
+#[derive(Clone, Copy, Debug)]
+pub struct BakedInstance<'a> {
+    /// Index into [`Level::instances`].
+    pub instance: usize,
+    /// `vertices × channels` values from 0 to 1, in the order of the mesh's vertices.
+    pub values: &'a [f32],
+}
+
+/// What to export.
+#[derive(Clone, Copy)]
+pub struct ExportRequest<'a> {
+    /// The level's path in `files`.
+    pub level_name: &'a str,
+    /// The source that the level was imported from.
+    pub files: &'a dyn SourceFiles,
+    /// The level as imported.
+    pub level: &'a Level,
+    /// Its digest, which is recorded in the output.
+    pub level_digest: Digest,
+    /// Kiln's version, likewise.
+    pub version: &'a str,
+    /// Values, in any order. Instances without any keep what they had.
+    pub values: &'a [BakedInstance<'a>],
+}
+
+/// The baked file.
+#[derive(Clone, Debug)]
+pub struct Exported {
+    /// Bytes of the .glb.
+    pub glb: Vec<u8>,
+    /// What the export found worth saying.
+    pub warnings: Vec<Warning>,
+}
+
+/// An instance that gets values.
+#[derive(Clone, Copy)]
+struct Target<'a> {
+    instance: &'a Instance,
+    entry: &'a MeshEntry,
+    /// `vertices × channels`.
+    values: &'a [f32],
+}
+
+/// Writes the source with the values added.
+///
+/// # Errors
+/// As import; and [`SceneError::Mismatch`] where level and values don't belong to the source.
+pub fn export(request: &ExportRequest<'_>) -> Result<Exported, SceneError> {
+    let level_bytes = read_level(request.level_name, request.files)?;
+    let document = Document::parse(request.level_name, &level_bytes, request.files)?;
+    let targets = targets(request, &document)?;
+    let mut findings = Findings::default();
+    let mut root = document.root.clone();
+    let mut binary = Binary::merge(&document, &mut root)?;
+    assign(&document, request.level, &targets, &mut root, &mut binary, &mut findings)?;
+    record(request, &mut root, &mut findings);
+    let images = document.list("images")?;
+    let external = images.iter().filter(|image| image.get("uri").is_some_and(|uri| is_external(&uri))).count();
+    findings.add(Finding::ExternalImages, request.level_name, external as u64);
+    let bytes = binary.finish(&mut root);
+    let json = serde_json::to_vec(&root).map_err(|error| document.root().invalid(format!("as JSON: {error}")))?;
+    let glb = Glb { json: &json, bin: bytes.as_deref(), other: document.other_chunks.clone(), bytes_after_end: 0 };
+    let glb = glb.write().map_err(|error| too_long(&document, &error))?;
+    Ok(Exported { glb, warnings: findings.into_warnings() })
+}
+
+fn too_long(document: &Document<'_>, error: &GlbError) -> SceneError {
+    let advice = "use --format u16, fewer half-distances, or split the level";
+    match error {
+        GlbError::TooLong(bytes) => document.root().too_big("bytes of output", *bytes, limits::GLB_BYTES, advice),
+        other => document.root().invalid(other.to_string()),
+    }
+}
+
+fn is_external(uri: &Item<'_>) -> bool {
+    uri.string().is_ok_and(|uri| !uri.starts_with("data:"))
+}
+
+/// Checks that the values fit the level, and the level the source; in the order of the level's instances.
+fn targets<'a>(request: &ExportRequest<'a>, document: &Document<'_>) -> Result<Vec<Target<'a>>, SceneError> {
+    let channels = request.level.sampling.kernel.channel_count();
+    let mut sorted: Vec<&BakedInstance<'a>> = request.values.iter().collect();
+    sorted.sort_by_key(|baked| baked.instance);
+    let mut seen = BTreeSet::new();
+    let mut targets = Vec::with_capacity(sorted.len());
+    for baked in sorted {
+        let mismatch = |problem: &str| SceneError::Mismatch { instance: baked.instance, problem: problem.to_owned() };
+        let instance = request.level.instances.get(baked.instance).ok_or_else(|| mismatch("there is no such one"))?;
+        let entry = request.level.meshes.get(instance.mesh as usize).ok_or_else(|| mismatch("it has no mesh"))?;
+        if !seen.insert(baked.instance) {
+            return Err(mismatch("it has values twice"));
+        }
+        if baked.values.len() != entry.vertex_count as usize * channels {
+            let (found, vertices) = (baked.values.len(), entry.vertex_count);
+            return Err(mismatch(&format!("it has {found} values for {vertices} vertices × {channels} channels")));
+        }
+        if !baked.values.iter().all(|value| value.is_finite()) {
+            return Err(mismatch("a value is not finite"));
+        }
+        let node = document.list("nodes")?.get(instance.node as usize);
+        let mesh = node.and_then(|node| node.get("mesh")).and_then(|mesh| mesh.index().ok());
+        if mesh != Some(entry.source_mesh as usize) {
+            return Err(mismatch("the source has another mesh at its node"));
+        }
+        if !blocks_fit(document, entry)? {
+            return Err(mismatch("the source has other primitives in its mesh"));
+        }
+        targets.push(Target { instance, entry, values: baked.values });
+    }
+    Ok(targets)
+}
+
+/// Whether the primitives that get values are in the source, with as many vertices as the level says.
+fn blocks_fit(document: &Document<'_>, entry: &MeshEntry) -> Result<bool, SceneError> {
+    let accessors = document.list("accessors")?;
+    let Some(mesh) = document.list("meshes")?.get(entry.source_mesh as usize) else { return Ok(false) };
+    let primitives = mesh.list("primitives")?;
+    let count_of = |primitive: u32| {
+        let position = primitives.get(primitive as usize)?.get("attributes")?.get("POSITION")?;
+        accessors.get(position.index().ok()?)?.get("count")?.index().ok()
+    };
+    Ok(entry.blocks.iter().all(|block| {
+        let end = block.first_vertex.checked_add(block.vertex_count);
+        let inside = end.is_some_and(|end| end <= entry.vertex_count);
+        inside && block.primitives.iter().all(|&primitive| count_of(primitive) == Some(block.vertex_count as usize))
+    }))
+}
+
+/// Records in `asset.extras.kiln` how the values came about.
+fn record(request: &ExportRequest<'_>, root: &mut Value, findings: &mut Findings) {
+    let mut kiln = json!({
+        "version": request.version,
+        "level": request.level_digest.to_string(),
+        "attribute": request.level.output.attribute,
+    });
+    match &request.level.sampling.kernel {
+        Kernel::Obscurance { half_distances_m } => kiln["half_distances_m"] = json!(half_distances_m),
+        Kernel::Occlusion { ray_distance_m } if ray_distance_m.is_finite() => {
+            kiln["ray_distance_m"] = json!(ray_distance_m);
+        }
+        Kernel::Occlusion { .. } => kiln["ray_distance_m"] = json!("inf"),
+    }
+    let extras = &mut root["asset"]["extras"];
+    if extras.is_null() {
+        *extras = json!({});
+    }
+    match extras.as_object_mut() {
+        Some(extras) => {
+            extras.insert("kiln".to_owned(), kiln);
+        }
+        None => findings.add(Finding::ExtrasNotAnObject, request.level_name, 1),
+    }
+}
+
+/// The array of that name in an object, made if it isn't there.
+fn array_mut<'v>(object: &'v mut Value, key: &str) -> Option<&'v mut Vec<Value>> {
+    object.as_object_mut()?.entry(key).or_insert_with(|| json!([])).as_array_mut()
+}

@@ -1,0 +1,266 @@
+//! Import: source files and settings to a level and its meshes.
+
+#[cfg(test)]
+mod robustness;
+#[cfg(test)]
+mod tests;
+
+use crate::{
+    SceneError, Sidecar, SidecarText, SourceFiles,
+    document::{Document, read_level},
+    extensions::check_required,
+    findings::{Finding, Findings},
+    gather::{Gathered, Rules, Variant, gather},
+    limits,
+    mesh::{Built, Tally, build},
+    resolve::{Resolved, check, only, origin, resolve},
+    scene::placements,
+};
+use glam::{DAffine3, DVec3};
+use kiln_core::{
+    Attribute, BakeSettings, Bounds, Class, Digest, Instance, Level, LevelCounts, Mesh, MeshEntry, OutputSettings,
+    ValueFormat, codec,
+};
+use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// An encoded mesh.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MeshBlob {
+    /// Digest of the bytes.
+    pub digest: Digest,
+    /// The encoded [`kiln_core::Mesh`].
+    pub bytes: Vec<u8>,
+}
+
+/// An imported level.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Import {
+    /// The manifest.
+    pub level: Level,
+    /// The distinct meshes, each once; every [`MeshEntry::digest`] of the level is the digest of one.
+    pub meshes: Vec<MeshBlob>,
+}
+
+/// Imports a level: reads its files, checks and cleans them, classifies, and resolves the settings.
+///
+/// `level_name` is the level's path in `files`, and paths of other files are relative to its folder. The result
+/// depends on nothing but the arguments.
+///
+/// # Errors
+/// [`SceneError`] with the place and the remedy, for anything that can't be baked as it stands.
+pub fn import(
+    level_name: &str,
+    files: &dyn SourceFiles,
+    sidecar: Option<SidecarText<'_>>,
+    settings: &BakeSettings,
+) -> Result<Import, SceneError> {
+    check(settings)?;
+    let sidecar = sidecar.map_or(Ok(Sidecar::default()), Sidecar::parse)?;
+    let level_bytes = read_level(level_name, files)?;
+    let document = Document::parse(level_name, &level_bytes, files)?;
+    check_required(&document)?;
+
+    let mut findings = Findings::default();
+    findings.add(Finding::BytesAfterEnd, level_name, document.bytes_after_end as u64);
+    let placements = placements(&document, &mut findings)?;
+    let rules = Rules { classes: &sidecar.classes, only: only(settings)?, output: &settings.output };
+    let gathered = gather(&document, &placements, &rules, &mut findings)?;
+    check_only(settings, &gathered)?;
+
+    let cast = cast_all(&gathered, settings.drop_bad_faces)?;
+    report(&gathered, &cast, &mut findings);
+    let world = cast.iter().fold(Bounds::EMPTY, |mut all, cast| {
+        all.merge(&cast.world_bounds);
+        all
+    });
+    let origin_m = origin(&world);
+    let bounds = Bounds { min: world.min - origin_m, max: world.max - origin_m };
+    check_extent(level_name, &bounds)?;
+    let resolved = resolve(settings, &sidecar, &bounds, &mut findings)?;
+    let import = assemble(gathered, cast, origin_m, bounds, resolved, findings);
+    check_output_size(level_name, level_bytes.len(), &import.level)?;
+    Ok(import)
+}
+
+/// A `--only` that matches nothing is a slip of the pen.
+fn check_only(settings: &BakeSettings, gathered: &Gathered<'_>) -> Result<(), SceneError> {
+    match &settings.only {
+        Some(only) if !gathered.instances.iter().any(|instance| instance.receives) => Err(SceneError::Setting {
+            setting: "--only",
+            problem: format!("{only:?} matches no node, mesh or material that could be baked"),
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// What became of a variant.
+struct Cast {
+    entry: MeshEntry,
+    bytes: Vec<u8>,
+    /// Faces for each class.
+    classes: BTreeMap<Class, u64>,
+    /// Bounds of all its instances in the file's world, metres.
+    world_bounds: Bounds,
+    tally: Tally,
+}
+
+/// Reads, cleans and encodes every variant, in parallel; the first error in the order of variants counts.
+fn cast_all(gathered: &Gathered<'_>, drop_bad_faces: bool) -> Result<Vec<Cast>, SceneError> {
+    let cast = |variant: &Variant<'_>| build(&variant.primitives, drop_bad_faces).map(|b| cast(variant, b, gathered));
+    let all: Vec<Result<Cast, SceneError>> = gathered.variants.par_iter().map(cast).collect();
+    all.into_iter().collect()
+}
+
+fn cast(variant: &Variant<'_>, built: Built, gathered: &Gathered<'_>) -> Cast {
+    let Built { mesh, blocks, bounds, tally } = built;
+    let bytes = codec::encode(&mesh);
+    let entry = MeshEntry {
+        digest: Digest::of(&bytes),
+        name: variant.name.clone(),
+        vertex_count: mesh.positions.len() as u32,
+        face_count: mesh.faces.len() as u32,
+        bounds,
+        source_mesh: variant.source_mesh as u32,
+        blocks,
+    };
+    let transforms = variant.instances.iter().map(|&index| &gathered.instances[index].world_from_object);
+    let world_bounds = world_bounds(&mesh, transforms);
+    let mut classes = BTreeMap::new();
+    for face in 0..mesh.faces.len() {
+        *classes.entry(mesh.group(face).class).or_default() += 1;
+    }
+    Cast { entry, bytes, classes, world_bounds, tally }
+}
+
+/// Bounds of a mesh's faces under several transforms.
+fn world_bounds<'t>(mesh: &Mesh, transforms: impl Iterator<Item = &'t DAffine3>) -> Bounds {
+    let mut used = vec![false; mesh.positions.len()];
+    mesh.faces.iter().flatten().for_each(|&vertex| used[vertex as usize] = true);
+    let points = mesh.positions.iter().zip(used).filter(|(_, used)| *used);
+    let points: Vec<DVec3> = points.map(|(position, _)| DVec3::from(position.map(f64::from))).collect();
+    let mut bounds = Bounds::EMPTY;
+    for transform in transforms {
+        points.iter().for_each(|point| bounds.add(transform.transform_point3(*point)));
+    }
+    bounds
+}
+
+/// Tells what was found in the meshes, once for each mesh of the document, whatever its variants.
+fn report(gathered: &Gathered<'_>, cast: &[Cast], findings: &mut Findings) {
+    let mut told = BTreeSet::new();
+    for (variant, cast) in gathered.variants.iter().zip(cast) {
+        if !told.insert(variant.source_mesh) {
+            continue;
+        }
+        let tally = &cast.tally;
+        for (finding, count) in [
+            (Finding::NonFiniteFaces, tally.non_finite),
+            (Finding::OutOfRangeFaces, tally.out_of_range),
+            (Finding::DegenerateFaces, tally.degenerate),
+            (Finding::DuplicateFaces, tally.duplicate),
+            (Finding::InvalidNormals, tally.invalid_normals),
+            (Finding::UnreferencedVertices, tally.unreferenced),
+            (Finding::IncompleteFaces, tally.left_over),
+        ] {
+            findings.add(finding, &variant.name, count);
+        }
+    }
+}
+
+/// Puts the parts together. Meshes that have no faces left are left out, with their instances.
+fn assemble(
+    gathered: Gathered<'_>,
+    cast: Vec<Cast>,
+    origin_m: DVec3,
+    bounds: Bounds,
+    resolved: Resolved,
+    findings: Findings,
+) -> Import {
+    let mut counts = LevelCounts::default();
+    let mut index_of = vec![None; cast.len()];
+    let (mut entries, mut meshes) = (Vec::new(), Vec::new());
+    let mut known = BTreeSet::new();
+    let mut classes = Vec::new();
+    for (variant, cast) in cast.into_iter().enumerate().filter(|(_, cast)| cast.entry.face_count > 0) {
+        index_of[variant] = Some(entries.len());
+        if known.insert(cast.entry.digest) {
+            counts.meshes += 1;
+            counts.unique_faces += u64::from(cast.entry.face_count);
+            meshes.push(MeshBlob { digest: cast.entry.digest, bytes: cast.bytes });
+        }
+        entries.push(cast.entry);
+        classes.push(cast.classes);
+    }
+    let mut instances: Vec<Instance> = Vec::with_capacity(gathered.instances.len());
+    for mut instance in gathered.instances {
+        let Some(mesh) = index_of[instance.mesh as usize] else { continue };
+        instance.mesh = mesh as u32;
+        instance.world_from_object.translation -= origin_m;
+        counts.instances += 1;
+        counts.vertices += u64::from(entries[mesh].vertex_count);
+        counts.faces += u64::from(entries[mesh].face_count);
+        for (&class, &faces) in &classes[mesh] {
+            *counts.classes.entry(class).or_default() += faces;
+        }
+        instances.push(instance);
+    }
+    if gathered.ignored_faces > 0 {
+        counts.classes.insert(Class::Ignored, gathered.ignored_faces);
+    }
+    let level = Level {
+        origin_m,
+        bounds,
+        meshes: entries,
+        instances,
+        sampling: resolved.sampling,
+        solve: resolved.solve,
+        output: resolved.output,
+        warnings: findings.into_warnings(),
+        counts,
+    };
+    Import { level, meshes }
+}
+
+/// Refuses a level so large that f32 arithmetic in it would overflow.
+fn check_extent(file: &str, bounds: &Bounds) -> Result<(), SceneError> {
+    let extent =
+        if bounds.is_empty() { 0.0 } else { bounds.min.abs().max_element().max(bounds.max.abs().max_element()) };
+    if extent <= limits::COORDINATE_M {
+        return Ok(());
+    }
+    Err(SceneError::TooBig {
+        file: file.to_owned(),
+        place: "the level's bounds".to_owned(),
+        what: "metres from the middle",
+        found: extent as u64,
+        limit: limits::COORDINATE_M as u64,
+        advice: "correct the transforms or the positions that lead so far",
+    })
+}
+
+/// Refuses a level whose output could not be a .glb file, before it is baked.
+fn check_output_size(file: &str, level_bytes: usize, level: &Level) -> Result<(), SceneError> {
+    let receiving = level.instances.iter().filter(|instance| instance.receives);
+    let vertices: u64 = receiving.map(|instance| u64::from(level.meshes[instance.mesh as usize].vertex_count)).sum();
+    let bytes = vertices * bytes_per_vertex(&level.output, level.sampling.kernel.channel_count()) + level_bytes as u64;
+    if bytes <= limits::GLB_BYTES {
+        return Ok(());
+    }
+    Err(SceneError::TooBig {
+        file: file.to_owned(),
+        place: "the output".to_owned(),
+        what: "bytes",
+        found: bytes,
+        limit: limits::GLB_BYTES,
+        advice: "use --format u16, fewer half-distances, or split the level",
+    })
+}
+
+/// Least bytes of output for a vertex.
+fn bytes_per_vertex(output: &OutputSettings, channels: usize) -> u64 {
+    let component = if output.format == ValueFormat::U16 { 2 } else { 4 };
+    let ao = if output.attribute == Attribute::Color { 0 } else { (channels * component).next_multiple_of(4) };
+    let color = if output.attribute == Attribute::Ao { 0 } else { (3 * component).next_multiple_of(4) };
+    (ao + color) as u64
+}

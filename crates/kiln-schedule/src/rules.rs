@@ -1,0 +1,1 @@
+//! The rules of scheduling, one test for each.

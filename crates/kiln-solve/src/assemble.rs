@@ -1,0 +1,154 @@
+//! The linear system of an instance: `A = M + α R + μ W`, and the residual of the local averages.
+//!
+//! M is the analytic mass matrix of the faces that have valid samples; the samples enter by a control variate,
+//! `b = M x0 + Σ w φ (f − g_x0)`, which is far better conditioned than a sampled mass matrix. With the anchor's
+//! `μ W x0` in b, the residual of x0 is `b − A x0 = m − S x0 − α R x0`: M and the anchor drop out.
+//!
+//! Deviation from the paper: unknowns that no sample reaches (holes) start from the mean of their neighbours,
+//! ring by ring from the hole's rim, and are tied to it by a very weak anchor. The regulariser alone would leave
+//! some of them undetermined (a patch joined at one vertex) and a wide hole badly conditioned.
+
+use crate::{edges::Edges, matrix::LowerCsc, samples::FaceSamples, surface::Surface};
+use kiln_core::{FaceMoments, SolveSettings};
+
+/// Weight of the anchor of unknowns without samples, as a fraction of the area around them. At 1e-5 the
+/// regulariser is the stronger of the two in holes up to some 80 edges across.
+const HOLE_ANCHOR: f64 = 1e-5;
+
+/// The system of a whole instance. Vectors over unknowns with several values have those of one unknown together.
+#[derive(Clone, Debug)]
+pub struct Assembly {
+    /// A, lower triangle, over all unknowns; those that no face of the surface uses have an empty row.
+    pub matrix: LowerCsc,
+    /// `W_i = Σ w φ_i` over valid samples: the area that speaks for each unknown.
+    pub weight: Vec<f64>,
+    /// The diagonal of the anchor.
+    pub anchor: Vec<f64>,
+    /// The local averages x0, `unknowns × channels`.
+    pub average: Vec<f64>,
+    /// `unknowns × 2 channels`: residuals of x0, then half the difference of the two halves' right-hand sides.
+    pub rhs: Vec<f64>,
+    /// Number of channels.
+    pub channels: usize,
+    /// Whether each face of the surface has a valid sample.
+    pub sampled: Vec<bool>,
+}
+
+impl Assembly {
+    /// Assembles the system of a surface from its moments, which have an entry for each face of the mesh.
+    pub fn new(surface: &Surface, edges: &Edges, moments: &FaceMoments, settings: &SolveSettings) -> Self {
+        let n = surface.unknown_count();
+        let channels = moments.channel_count();
+        let mut assembly = Self {
+            matrix: pattern(n, edges),
+            weight: vec![0.0; n],
+            anchor: vec![0.0; n],
+            average: vec![0.0; n * channels],
+            rhs: vec![0.0; n * 2 * channels],
+            channels,
+            sampled: Vec::with_capacity(surface.corners.len()),
+        };
+        assembly.average_samples(surface, moments);
+        let holes = crate::hole::fill_averages(surface, &assembly.weight, &mut assembly.average, channels);
+        assembly.add_samples(surface, moments);
+        assembly.add_regulariser(surface, edges, settings.regularization);
+        assembly.add_anchor(settings.anchor, &holes);
+        assembly
+    }
+
+    /// Number of right-hand sides.
+    pub fn columns(&self) -> usize {
+        2 * self.channels
+    }
+
+    /// First pass: W and x0.
+    fn average_samples(&mut self, surface: &Surface, moments: &FaceMoments) {
+        let channels = self.channels;
+        for (face, corners) in surface.corners.iter().enumerate() {
+            let samples = face_samples(surface, moments, face);
+            self.sampled.push(samples.is_some());
+            let Some(FaceSamples { mean, .. }) = &samples else { continue };
+            let phi = mean.phi();
+            for (i, unknown) in corners.map(|u| u as usize).into_iter().enumerate() {
+                self.weight[unknown] += phi[i];
+                for (sum, phi_f) in self.average[unknown * channels..].iter_mut().zip(&mean.phi_f[..channels]) {
+                    *sum += phi_f[i];
+                }
+            }
+        }
+        for (sums, weight) in self.average.chunks_exact_mut(channels).zip(&self.weight) {
+            if *weight > 0.0 {
+                sums.iter_mut().for_each(|sum| *sum /= weight);
+            }
+        }
+    }
+
+    /// Second pass: M, and `m − S x0` of the mean and of the half difference.
+    fn add_samples(&mut self, surface: &Surface, moments: &FaceMoments) {
+        let (channels, columns) = (self.channels, self.columns());
+        for (face, &[a, b, c]) in surface.corners.iter().enumerate() {
+            let samples = face_samples(surface, moments, face);
+            let Some(FaceSamples { mean, half_difference }) = &samples else { continue };
+            let area = surface.areas[face];
+            [[a, b], [b, c], [c, a]].into_iter().for_each(|[i, j]| self.matrix.add(i, j, area / 12.0));
+            let at = [a, b, c].map(|u| u as usize);
+            at.into_iter().for_each(|u| self.matrix.add_diagonal(u, area / 6.0));
+            for channel in 0..channels {
+                let x0 = at.map(|u| self.average[u * channels + channel]);
+                let misfit = mean.misfit(channel, x0);
+                let difference = half_difference.misfit(channel, x0);
+                for i in 0..3 {
+                    self.rhs[at[i] * columns + channel] += misfit[i];
+                    self.rhs[at[i] * columns + channels + channel] += difference[i];
+                }
+            }
+        }
+    }
+
+    /// `α R`, and `−α R x0`.
+    fn add_regulariser(&mut self, surface: &Surface, edges: &Edges, regularization: f64) {
+        let (channels, columns) = (self.channels, self.columns());
+        for edge in &edges.interior {
+            let Some(row) = edge.row(surface) else { continue };
+            let unknowns = edge.unknowns();
+            for i in 0..4 {
+                let scaled = regularization * row[i];
+                for j in 0..=i {
+                    self.matrix.add(unknowns[i], unknowns[j], scaled * row[j]);
+                }
+            }
+            let at = unknowns.map(|u| u as usize);
+            for c in 0..channels {
+                let jump: f64 = (0..4).map(|i| row[i] * self.average[at[i] * channels + c]).sum();
+                for i in 0..4 {
+                    self.rhs[at[i] * columns + c] -= regularization * row[i] * jump;
+                }
+            }
+        }
+    }
+
+    fn add_anchor(&mut self, anchor: f64, hole_area: &[(u32, f64)]) {
+        for (anchored, weight) in self.anchor.iter_mut().zip(&self.weight) {
+            *anchored = anchor * weight;
+        }
+        for &(unknown, area) in hole_area {
+            self.anchor[unknown as usize] = HOLE_ANCHOR * area;
+        }
+        for (unknown, anchor) in self.anchor.iter().enumerate() {
+            self.matrix.add_diagonal(unknown, *anchor);
+        }
+    }
+}
+
+/// A face's weighted samples.
+fn face_samples(surface: &Surface, moments: &FaceMoments, face: usize) -> Option<FaceSamples> {
+    let halves = moments.face(surface.mesh_face[face] as usize);
+    FaceSamples::new(&halves, moments.channel_count(), surface.areas[face])
+}
+
+/// Room for M (the edges) and R (also the opposite corners). Edges of faces without samples are there too: the
+/// matrix's graph is then the surface's, and its components are the surface's.
+fn pattern(n: usize, edges: &Edges) -> LowerCsc {
+    let opposite = || edges.interior.iter().map(|edge| edge.opposite);
+    LowerCsc::with_pattern(n, || edges.all.iter().copied().chain(opposite()))
+}

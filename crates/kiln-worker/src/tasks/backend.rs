@@ -1,0 +1,39 @@
+//! Which tracer runs trace tasks.
+
+use kiln_gpu::{GpuDevice, GpuError, GpuTracer};
+use kiln_trace::{CpuTracer, Scene, Tracer};
+use std::sync::Arc;
+
+/// Where rays are traced.
+pub enum Backend {
+    /// On the threads of this process.
+    Cpu,
+    /// On a graphics device.
+    Gpu(Arc<GpuDevice>),
+}
+
+impl Backend {
+    /// The lane of its trace tasks.
+    pub fn lane(&self) -> String {
+        match self {
+            Self::Cpu => "cpu".to_owned(),
+            Self::Gpu(device) => device.lane(),
+        }
+    }
+
+    /// What it is, for people.
+    pub fn describe(&self) -> String {
+        match self {
+            Self::Cpu => "the CPU".to_owned(),
+            Self::Gpu(device) => device.describe(),
+        }
+    }
+
+    /// A tracer over a scene.
+    pub fn tracer(&self, scene: &Arc<Scene>) -> Result<Arc<dyn Tracer>, GpuError> {
+        Ok(match self {
+            Self::Cpu => Arc::new(CpuTracer::new(Arc::clone(scene))),
+            Self::Gpu(device) => Arc::new(GpuTracer::new(Arc::clone(device), scene)?),
+        })
+    }
+}

@@ -1,0 +1,71 @@
+//! The tasks themselves: each turns artefacts into artefacts, by the crates that own the work.
+
+mod backend;
+mod export;
+mod import;
+mod levels;
+mod plan;
+mod solve;
+mod trace;
+
+pub use backend::Backend;
+pub use levels::{LoadedLevel, ground_plane};
+
+use crate::{Artefacts, CancelFlag, Executor, Lanes, TaskError, TaskOutput};
+use kiln_core::{TaskSpec, codec::DecodeError};
+use levels::LevelCache;
+
+/// Runs every kind of task on this machine. Levels that it works on are kept loaded, with their BVHs.
+pub struct BakeExecutor {
+    levels: LevelCache,
+    backend: Backend,
+}
+
+impl BakeExecutor {
+    /// An executor that traces on the given backend.
+    pub fn new(backend: Backend) -> Self {
+        Self { levels: LevelCache::default(), backend }
+    }
+}
+
+impl Executor for BakeExecutor {
+    fn lanes(&self) -> Lanes {
+        Lanes { trace: vec![self.backend.lane()], solve: kiln_solve::lane() }
+    }
+
+    fn run(
+        &self,
+        spec: &TaskSpec,
+        artefacts: &dyn Artefacts,
+        cancel: &CancelFlag,
+        progress: &dyn Fn(u64),
+    ) -> Result<TaskOutput, TaskError> {
+        if cancel.is_cancelled() {
+            return Err(TaskError::Cancelled);
+        }
+        match spec {
+            TaskSpec::Import { source } => import::run(*source, artefacts),
+            TaskSpec::Plan(spec) => plan::run(spec, &*self.levels.get(spec.level, artefacts)?),
+            TaskSpec::Trace { level, task } => {
+                let output = trace::run(task, &*self.levels.get(*level, artefacts)?, &self.backend)?;
+                progress(output.rays);
+                Ok(output)
+            }
+            TaskSpec::Solve { level, instance, moments } => {
+                solve::run(*instance, moments, &*self.levels.get(*level, artefacts)?, artefacts)
+            }
+            TaskSpec::Export(spec) => export::run(spec, &*self.levels.get(spec.level, artefacts)?, artefacts),
+        }
+    }
+}
+
+impl From<DecodeError> for TaskError {
+    fn from(error: DecodeError) -> Self {
+        Self::Failed { reason: error.to_string() }
+    }
+}
+
+/// An index of a task is not in its level: coordinator and worker disagree.
+fn out_of_range(what: &str, index: u32) -> TaskError {
+    TaskError::Failed { reason: format!("the level has no {what} {index}; the task is of another version of Kiln") }
+}

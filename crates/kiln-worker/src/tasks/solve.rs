@@ -1,0 +1,29 @@
+//! Solve: the moments of an instance's pieces to vertex values.
+
+use super::LoadedLevel;
+use crate::{Artefacts, TaskError, TaskOutput};
+use kiln_core::{Digest, FaceMoments, codec};
+use kiln_solve::SolveInput;
+
+pub(super) fn run(
+    instance: u32,
+    moments: &[Digest],
+    level: &LoadedLevel,
+    artefacts: &dyn Artefacts,
+) -> Result<TaskOutput, TaskError> {
+    let (placed, mesh) = level.instance(instance)?;
+    let failed = |reason: String| TaskError::Failed { reason: format!("{}: {reason}", placed.name) };
+    let channels = level.level.sampling.kernel.channel_count();
+    let mut whole = FaceMoments::new(channels);
+    for bytes in artefacts.get_many(moments)? {
+        let piece = FaceMoments::from_bytes(&bytes).map_err(|error| failed(error.to_string()))?;
+        if piece.channel_count() != channels {
+            return Err(failed(format!("{} channels in its moments, {channels} in the level", piece.channel_count())));
+        }
+        whole.append(&piece);
+    }
+    let input =
+        SolveInput { mesh, world_from_object: placed.world_from_object, moments: &whole, settings: &level.level.solve };
+    let solution = kiln_solve::solve(&input).map_err(|error| failed(error.to_string()))?;
+    Ok(TaskOutput { result: codec::encode(&solution), attachments: Vec::new(), rays: 0 })
+}

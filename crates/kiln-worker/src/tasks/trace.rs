@@ -1,0 +1,26 @@
+//! Trace: a piece of an instance to per-face moments.
+
+use super::{Backend, LoadedLevel, out_of_range};
+use crate::{TaskError, TaskOutput};
+use kiln_bake::{Piece, trace_piece};
+use kiln_core::TraceTask;
+
+pub(super) fn run(task: &TraceTask, level: &LoadedLevel, backend: &Backend) -> Result<TaskOutput, TaskError> {
+    let (instance, mesh) = level.instance(task.instance)?;
+    let first = task.first_face as usize;
+    let faces = first..first.saturating_add(task.face_count as usize);
+    if faces.end > mesh.faces.len() {
+        return Err(out_of_range("face", task.first_face.saturating_add(task.face_count)));
+    }
+    let (scene, tracer) = level.tracer(backend)?;
+    let piece = Piece {
+        mesh,
+        world_from_object: &instance.world_from_object,
+        faces,
+        density_per_m2: task.density_per_m2,
+        sampling: &level.level.sampling,
+    };
+    let moments =
+        trace_piece(&**tracer, scene, &piece).map_err(|error| TaskError::Failed { reason: error.to_string() })?;
+    Ok(TaskOutput { rays: moments.summary.rays, result: moments.to_bytes(), attachments: Vec::new() })
+}

@@ -1,0 +1,96 @@
+//! The command line.
+
+mod bake;
+mod farm;
+mod tools;
+
+pub(crate) use bake::BakeArgs;
+pub(crate) use farm::{CancelArgs, FarmAddress, FetchArgs, LsArgs, ServeArgs, SubmitArgs, WatchArgs, WorkerArgs};
+pub(crate) use tools::{CheckArgs, CompareArgs, ExampleArgs, ProbeArgs, ViewArgs};
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Bakes ambient obscurance for game levels.
+///
+/// Exit codes: 0 good, 1 bake failed, 2 usage, 3 input refused, 4 quality gate missed, 5 farm unreachable,
+/// 130 interrupted.
+#[derive(Debug, Parser)]
+#[command(name = "kiln", version, propagate_version = true, max_term_width = 110)]
+pub(crate) struct Cli {
+    #[command(flatten)]
+    pub(crate) common: Common,
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+/// Options of every command.
+#[derive(Args, Clone, Debug)]
+pub(crate) struct Common {
+    /// Print results as JSON, for machines
+    #[arg(long, global = true)]
+    pub(crate) json: bool,
+    /// Plain lines in place of progress bars (also where the output is no terminal)
+    #[arg(long, global = true)]
+    pub(crate) no_progress: bool,
+    /// More log lines; repeat for more still
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub(crate) verbose: u8,
+    /// Threads to work on [default: one for each core]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub(crate) threads: Option<u16>,
+    /// Where rays are traced: `auto` takes a graphics card if there is one, else the CPU
+    #[arg(long, global = true, value_enum, default_value_t)]
+    pub(crate) backend: BackendChoice,
+    /// Folder for results that later runs reuse [default: a folder of this user]
+    #[arg(long, global = true, value_name = "FOLDER", env = "KILN_DATA_DIR")]
+    pub(crate) data_dir: Option<PathBuf>,
+}
+
+impl Common {
+    /// Threads to work on.
+    pub(crate) fn thread_count(&self) -> usize {
+        let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        self.threads.map_or_else(cores, usize::from)
+    }
+}
+
+/// Where rays are traced.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub(crate) enum BackendChoice {
+    /// A graphics card if there is one, else the CPU.
+    #[default]
+    Auto,
+    /// The CPU.
+    Cpu,
+    /// A graphics card; a software driver too if KILN_GPU=software is set.
+    Gpu,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    Bake(BakeArgs),
+    Check(CheckArgs),
+    Compare(CompareArgs),
+    Probe(ProbeArgs),
+    View(ViewArgs),
+    Example(ExampleArgs),
+    Serve(ServeArgs),
+    Worker(WorkerArgs),
+    Submit(SubmitArgs),
+    Watch(WatchArgs),
+    Fetch(FetchArgs),
+    Cancel(CancelArgs),
+    Ls(LsArgs),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+}

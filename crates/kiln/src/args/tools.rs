@@ -1,0 +1,104 @@
+//! Options of the commands that look at levels and results.
+
+use super::bake::{HalfDistances, SettingsArgs};
+use clap::Args;
+use std::path::PathBuf;
+
+/// Reads and validates a level; prints what would be baked, every warning, and an estimate of time and memory.
+#[derive(Args, Debug)]
+#[command(after_help = "Examples:\n  kiln check level.glb\n  kiln check level.glb --quality high --json")]
+pub(crate) struct CheckArgs {
+    /// The level: .glb or .gltf
+    pub(crate) level: PathBuf,
+    #[command(flatten)]
+    pub(crate) settings: SettingsArgs,
+}
+
+/// Compares two baked files of one level: area-weighted RMSE, p50, p99, max, per mesh and in total.
+#[derive(Args, Debug)]
+#[command(
+    after_help = "Examples:\n  kiln compare baked.glb reference.glb\n  kiln compare a.glb b.glb --fail-above 0.006"
+)]
+pub(crate) struct CompareArgs {
+    /// A baked file
+    pub(crate) a: PathBuf,
+    /// Another, of the same level
+    pub(crate) b: PathBuf,
+    /// Exit with code 4 if the RMSE of any half-distance is above this
+    #[arg(long, value_name = "X")]
+    pub(crate) fail_above: Option<f64>,
+}
+
+/// AO at given points and normals, for spot checks against other tools.
+#[derive(Args, Debug)]
+#[command(after_help = "Examples:
+  kiln probe level.glb --points points.json --half-distance 2,300 --rays 4096 --json
+points.json: {\"points\": [{\"position\": [x, y, z], \"normal\": [x, y, z]}]}, metres in world space, moved off the surface")]
+pub(crate) struct ProbeArgs {
+    /// The level: .glb or .gltf
+    pub(crate) level: PathBuf,
+    /// The points
+    #[arg(long, value_name = "P.json")]
+    pub(crate) points: PathBuf,
+    /// Rays per point, rounded up to a power of two
+    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
+    pub(crate) rays: u32,
+    /// Half-distances in metres, or `auto`
+    #[arg(long, value_name = "D1,D2…", default_value = "auto")]
+    pub(crate) half_distance: HalfDistances,
+    /// The sidecar [default: LEVEL.kiln.toml beside the level]
+    #[arg(long = "level", value_name = "SIDE.toml")]
+    pub(crate) sidecar: Option<PathBuf>,
+    /// Another seed gives other directions
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) seed: u32,
+}
+
+/// Makes a picture of the AO in a baked file.
+#[derive(Args, Debug)]
+#[command(after_help = "Examples:
+  kiln view baked.glb -o picture.png
+  kiln view baked.glb -o both.png --side-by-side reference.glb
+  kiln view baked.glb -o near.png --camera 4,2,6,0,1,0")]
+pub(crate) struct ViewArgs {
+    /// The baked file
+    pub(crate) baked: PathBuf,
+    /// Where to write the picture
+    #[arg(short, long, value_name = "P.png")]
+    pub(crate) output: PathBuf,
+    /// Eye and target in metres, and the vertical field of view in degrees: X,Y,Z,TX,TY,TZ[,FOV]
+    #[arg(long, value_name = "CAMERA", value_delimiter = ',', num_args = 1, allow_hyphen_values = true)]
+    pub(crate) camera: Option<Vec<f64>>,
+    /// A second baked file to put on the right
+    #[arg(long, value_name = "REF.glb")]
+    pub(crate) side_by_side: Option<PathBuf>,
+    /// Show one half-distance, by number from 0 [default: the blend]
+    #[arg(long, value_name = "N")]
+    pub(crate) channel: Option<usize>,
+    /// Width and height of the picture, pixels
+    #[arg(long, value_name = "WxH", default_value = "1280x800", value_parser = parse_size)]
+    pub(crate) size: [u32; 2],
+}
+
+/// Makes an example level by code.
+#[derive(Args, Debug)]
+#[command(after_help = "Examples:\n  kiln example courtyard -o courtyard.glb\n  kiln example --list")]
+pub(crate) struct ExampleArgs {
+    /// Which example
+    #[arg(required_unless_present = "list")]
+    pub(crate) name: Option<String>,
+    /// Where to write it
+    #[arg(short, long, value_name = "X.glb", required_unless_present = "list")]
+    pub(crate) output: Option<PathBuf>,
+    /// List the examples
+    #[arg(long)]
+    pub(crate) list: bool,
+}
+
+fn parse_size(text: &str) -> Result<[u32; 2], String> {
+    let parts: Vec<u32> = text.split('x').filter_map(|part| part.parse().ok()).collect();
+    match parts[..] {
+        [w, h] if (16..=8192).contains(&w) && (16..=8192).contains(&h) => Ok([w, h]),
+        _ => Err("write WIDTHxHEIGHT, each from 16 to 8192".into()),
+    }
+}

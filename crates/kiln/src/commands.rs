@@ -1,0 +1,81 @@
+//! One module for each command.
+
+pub(crate) mod bake;
+pub(crate) mod cancel;
+pub(crate) mod check;
+pub(crate) mod compare;
+pub(crate) mod example;
+pub(crate) mod fetch;
+pub(crate) mod ls;
+pub(crate) mod probe;
+pub(crate) mod serve;
+pub(crate) mod submit;
+pub(crate) mod view;
+pub(crate) mod watch;
+pub(crate) mod worker;
+
+use crate::{
+    args::{BackendChoice, Common, FarmAddress},
+    failure::{Failure, UNREACHABLE},
+    progress::client_failure,
+};
+use anyhow::Context;
+use kiln_gpu::{AdapterChoice, GpuDevice};
+use kiln_proto::client::Farm;
+use kiln_worker::tasks::Backend;
+
+/// Makes the process's thread pool as wide as asked.
+pub(crate) fn use_threads(common: &Common) -> Result<(), Failure> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(common.thread_count());
+    Ok(pool.build_global().context("the thread pool cannot be started")?)
+}
+
+/// The runtime for what waits; what computes has its own threads.
+pub(crate) fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
+    Ok(runtime.context("the runtime cannot be started")?)
+}
+
+/// A graphics card if there is one and it is wanted, else the CPU.
+pub(crate) fn choose_backend(common: &Common) -> Result<Backend, Failure> {
+    let open = |choice: &AdapterChoice| GpuDevice::open(choice).map_err(anyhow::Error::from);
+    match common.backend {
+        BackendChoice::Cpu => Ok(Backend::Cpu),
+        BackendChoice::Auto => Ok(open(&AdapterChoice::Real)?.map_or(Backend::Cpu, Backend::Gpu)),
+        BackendChoice::Gpu => open(&AdapterChoice::from_env())?.map(Backend::Gpu).ok_or_else(|| {
+            let advice =
+                "install a Vulkan driver for it, set KILN_GPU=software for a software driver, or use --backend cpu";
+            Failure::new(crate::failure::FAILED, format!("no graphics card can be used; {advice}"))
+        }),
+    }
+}
+
+/// Connects to the farm now, so that one that cannot be reached is known at once.
+pub(crate) async fn farm(address: &FarmAddress) -> Result<Farm, Failure> {
+    let bearer = worker::bearer(address)?;
+    let connect = Farm::connect(&address.coordinator, bearer);
+    let patience = std::time::Duration::from_secs(15);
+    match tokio::time::timeout(patience, connect).await {
+        Ok(farm) => farm.map_err(client_failure),
+        Err(_) => Err(Failure::new(UNREACHABLE, format!("{} does not answer", address.coordinator))),
+    }
+}
+
+/// Completes when the process is asked to stop.
+pub(crate) async fn stop_signal() {
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        if let Ok(mut terminate) = signal(SignalKind::terminate()) {
+            tokio::select! {
+                _ = tokio::signal::ctrl_c() => {}
+                _ = terminate.recv() => {}
+            }
+            return;
+        }
+    }
+    // Without a handler for Ctrl-C the system ends the process by itself.
+    if tokio::signal::ctrl_c().await.is_err() {
+        std::future::pending::<()>().await;
+    }
+}

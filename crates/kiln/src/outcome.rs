@@ -1,0 +1,123 @@
+//! What comes of a bake that has ended: its summary, its file, its report, and what is printed.
+
+use crate::{
+    args::Common,
+    failure::{FAILED, Failure, INTERRUPTED, REFUSED},
+    half_distances::channel_names,
+    progress::{client_failure, stages},
+    report::{CacheCounts, Output, Run, report, warning_lines},
+};
+use anyhow::Context;
+use kiln_core::{BakeSettings, Baked, Digest, codec};
+use kiln_proto::{client::Farm, v1};
+use std::{collections::BTreeMap, fs, path::Path};
+
+/// A bake that succeeded.
+#[derive(Clone)]
+pub(crate) struct Outcome {
+    /// Its last state.
+    pub(crate) bake: v1::Bake,
+    /// What export said.
+    pub(crate) baked: Baked,
+}
+
+impl Outcome {
+    /// Reads the summary of a bake that has ended; one that ended badly is a failure.
+    pub(crate) async fn of(farm: &Farm, bake: v1::Bake) -> Result<Self, Failure> {
+        let Some(result) = &bake.result else { return Err(ended_badly(&bake)) };
+        let digest = Digest::from_slice(&result.baked).map_err(anyhow::Error::from)?;
+        let bytes = farm.download(digest).await.map_err(client_failure)?;
+        let baked = codec::decode("a bake's summary", &bytes).map_err(anyhow::Error::from)?;
+        Ok(Self { bake, baked })
+    }
+
+    /// Downloads the baked file and puts it in its place whole or not at all.
+    pub(crate) async fn save(&self, farm: &Farm, path: &Path) -> Result<Output, Failure> {
+        let bytes = farm.download(self.baked.file).await.map_err(client_failure)?;
+        write_whole(path, &bytes)?;
+        Ok(Output { path: path.display().to_string(), digest: self.baked.file, bytes: bytes.len() as u64 })
+    }
+
+    /// The report as JSON.
+    pub(crate) fn report(&self, settings: &BakeSettings, seconds: f64, outputs: &[Output]) -> serde_json::Value {
+        let lane = self.bake.lane.clone().unwrap_or_default();
+        let run = Run {
+            settings,
+            backend: serde_json::json!({ "trace": lane.trace, "solve": lane.solve }),
+            stages: &stages(&self.bake),
+            seconds,
+            cache: self.cache(),
+            answered_from_store: self.bake.result.as_ref().is_some_and(|r| r.answered_from_store),
+            outputs,
+        };
+        report(&self.baked.summary, &run)
+    }
+
+    fn cache(&self) -> BTreeMap<String, CacheCounts> {
+        let count =
+            |s: &v1::StageProgress| CacheCounts { hits: s.cache_hits, misses: s.done.saturating_sub(s.cache_hits) };
+        let name = |s: &v1::StageProgress| kiln_core::TaskKind::try_from(s.kind()).map(|k| k.name().to_owned());
+        self.bake.stages.iter().filter_map(|s| Some((name(s).ok()?, count(s)))).collect()
+    }
+
+    /// Prints the result for a person, or the report for a machine.
+    #[expect(clippy::print_stdout, reason = "this is the command's output")]
+    pub(crate) fn print(&self, report: &serde_json::Value, outputs: &[Output], seconds: f64, common: &Common) {
+        if common.json {
+            println!("{report}");
+            return;
+        }
+        let summary = &self.baked.summary;
+        for line in warning_lines(&summary.warnings) {
+            println!("{line}");
+        }
+        let rays = summary.trace.rays as f64 / 1e6;
+        println!(
+            "{} faces, {} vertices, {} samples ({} invalid), {rays:.1} Mrays in {seconds:.1} s{}",
+            summary.counts.faces,
+            summary.counts.vertices,
+            summary.trace.samples,
+            summary.trace.invalid,
+            if self.bake.result.as_ref().is_some_and(|r| r.answered_from_store) { " (known from before)" } else { "" }
+        );
+        for (name, error) in channel_names(&summary.sampling.kernel).iter().zip(&summary.error) {
+            println!(
+                "half-distance {name}: estimated RMSE {:.4}, p99 {:.4}, max {:.3}",
+                error.rmse, error.p99, error.max
+            );
+        }
+        for output in outputs {
+            println!("wrote {} ({} bytes)", output.path, output.bytes);
+        }
+        if let Some(file) = outputs.first() {
+            println!(
+                "`_AO` does not show in ordinary viewers: `kiln view {} -o picture.png` makes a picture",
+                file.path
+            );
+        }
+    }
+}
+
+/// Writes to a file beside the path first, so that a crash leaves the old file or the new one.
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    let context = || format!("{} cannot be written; check the folder and its permissions", path.display());
+    let mut name = path.file_name().unwrap_or_default().to_os_string();
+    name.push(format!(".{}.tmp", std::process::id()));
+    let beside = path.with_file_name(name);
+    fs::write(&beside, bytes).with_context(context)?;
+    let renamed = fs::rename(&beside, path).with_context(context);
+    if renamed.is_err() {
+        let _ = fs::remove_file(&beside);
+    }
+    Ok(renamed?)
+}
+
+fn ended_badly(bake: &v1::Bake) -> Failure {
+    if bake.state() == v1::BakeState::Cancelled {
+        return Failure::new(INTERRUPTED, format!("bake {} was cancelled", bake.bake_id));
+    }
+    let failure = bake.failure.clone().unwrap_or_default();
+    let code = if failure.kind() == v1::FailureKind::InputRefused { REFUSED } else { FAILED };
+    let attempts: String = failure.attempts.iter().map(|a| format!("\n  {}: {}", a.worker, a.message)).collect();
+    Failure::new(code, format!("{}{attempts}", failure.message))
+}

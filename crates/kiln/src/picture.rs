@@ -1,0 +1,9 @@
+//! Pictures of baked files, by Kiln's own CPU tracer.
+
+mod camera;
+mod png_file;
+mod render;
+
+pub(crate) use camera::Camera;
+pub(crate) use png_file::{Image, write_png};
+pub(crate) use render::{Shading, render};

@@ -1,0 +1,33 @@
+//! Writing pictures.
+
+use anyhow::Context;
+use std::{fs::File, io::BufWriter, path::Path};
+
+/// An 8-bit sRGB picture, rows from the top.
+pub(crate) struct Image {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    pub(crate) rgb: Vec<u8>,
+}
+
+impl Image {
+    /// Two pictures of the same height, with a light line between.
+    pub(crate) fn beside(self, right: &Self) -> Self {
+        const LINE: usize = 4;
+        let row = |image: &Self, y: usize| {
+            let stride = image.width as usize * 3;
+            image.rgb[y * stride..][..stride].to_vec()
+        };
+        let rows = (0..self.height as usize).flat_map(|y| [row(&self, y), vec![230; 3 * LINE], row(right, y)].concat());
+        Self { width: self.width + right.width + LINE as u32, height: self.height, rgb: rows.collect() }
+    }
+}
+
+pub(crate) fn write_png(path: &Path, image: &Image) -> anyhow::Result<()> {
+    let context = || format!("{} cannot be written", path.display());
+    let file = BufWriter::new(File::create(path).with_context(context)?);
+    let mut encoder = png::Encoder::new(file, image.width, image.height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.write_header().and_then(|mut writer| writer.write_image_data(&image.rgb)).with_context(context)
+}
