@@ -50,6 +50,8 @@ pub(crate) enum Op {
     LookUpAnswer { job: JobId, key: TaskKey },
     /// Find results of tasks.
     LookUp { job: JobId, nodes: Vec<(Node, TaskKey)> },
+    /// Look whether an artefact that a worker could not get is really gone.
+    Recheck { job: JobId, digest: Digest },
     /// Read a task graph.
     ReadGraph { job: JobId, digest: Digest },
     /// Read what an export gave.
@@ -83,6 +85,11 @@ pub(crate) enum Stored {
     LookedUp {
         job: JobId,
         found: Vec<(Node, Option<Digest>)>,
+    },
+    /// An artefact that a task needs is gone.
+    Lost {
+        job: JobId,
+        digest: Digest,
     },
     /// `None`: it is gone or damaged.
     Graph {
@@ -199,6 +206,12 @@ impl Batch {
             Op::LookUp { job, nodes } => {
                 self.ask(job, |job| Ok(Stored::LookedUp { job, found: find_results(store, &nodes)? }));
             }
+            Op::Recheck { job, digest } => match store.get(&digest) {
+                // Reading it whole finds damage, which the store then forgets.
+                Ok(Some(_)) => {}
+                Ok(None) => self.answers.push(Stored::Lost { job, digest }),
+                Err(error) => self.answers.push(Stored::Broken { job, error }),
+            },
             Op::ReadGraph { job, digest } => self
                 .ask(job, |job| Ok(Stored::Graph { job, graph: read(store, "a task graph", &digest)?.map(Box::new) })),
             Op::ReadBaked { job, digest } => self.ask(job, |job| {

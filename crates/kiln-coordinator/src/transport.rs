@@ -29,17 +29,20 @@ pub fn in_memory() -> (InMemoryIncoming, InMemoryConnector) {
 }
 
 impl InMemoryConnector {
+    /// A connection as such.
+    pub async fn connect(&self) -> io::Result<DuplexStream> {
+        let (near, far) = tokio::io::duplex(BUFFER_BYTES);
+        let stopped = |_| io::Error::new(io::ErrorKind::ConnectionRefused, "the coordinator has stopped");
+        self.connections.send(Ok(far)).await.map_err(stopped)?;
+        Ok(near)
+    }
+
     /// A channel of its own connection, made on the first call and again after it broke.
     pub fn channel(&self) -> Channel {
-        let connections = self.connections.clone();
+        let connector = self.clone();
         let connect = tower::service_fn(move |_: Uri| {
-            let connections = connections.clone();
-            async move {
-                let (near, far) = tokio::io::duplex(BUFFER_BYTES);
-                let stopped = |_| io::Error::new(io::ErrorKind::ConnectionRefused, "the coordinator has stopped");
-                connections.send(Ok(far)).await.map_err(stopped)?;
-                Ok::<_, io::Error>(TokioIo::new(near))
-            }
+            let connector = connector.clone();
+            async move { connector.connect().await.map(TokioIo::new) }
         });
         Endpoint::from_static("http://in-memory.kiln").connect_with_connector_lazy(connect)
     }

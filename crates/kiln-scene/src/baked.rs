@@ -64,7 +64,7 @@ pub fn read_baked(name: &str, files: &dyn SourceFiles) -> Result<BakedScene, Sce
             match read_part(&document, &placement, &mesh, (index as u32, &primitive), &materials) {
                 Ok(part) => parts.extend(part),
                 Err(error) if primitive.get("attributes").is_none_or(|a| a.get("_AO").is_none()) => {
-                    unreadable.push(error)
+                    unreadable.push(error);
                 }
                 Err(error) => return Err(error),
             }

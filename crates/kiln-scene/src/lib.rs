@@ -10,7 +10,8 @@
 //! (accessors to triangles) → `clean` → `resolve` (settings), each a module that can be read alone.
 //!
 //! Limits that are known: skins and morph targets are baked in their node's place and base shape; Draco and meshopt
-//! compression are refused by name; alpha masks are baked as opaque.
+//! compression are refused by name; alpha masks are baked as opaque; where a mesh is copied for several instances,
+//! animation pointers into it go on to move the first only.
 
 mod accessor;
 mod baked;

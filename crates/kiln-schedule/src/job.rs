@@ -110,10 +110,8 @@ impl Job {
 
     /// The class of a task, made where it is the first of its kind.
     pub(crate) fn class_of(&mut self, ready: &ReadyTask) -> usize {
-        let needs = Requirements {
-            lane: ready.needs.lane.clone(),
-            memory_bytes: round_memory(ready.needs.memory_bytes),
-        };
+        let needs =
+            Requirements { lane: ready.needs.lane.clone(), memory_bytes: round_memory(ready.needs.memory_bytes) };
         let key = ClassKey { kind: ready.kind, needs, locality: ready.locality };
         if let Some(&class) = self.class_index.get(&key) {
             return class;

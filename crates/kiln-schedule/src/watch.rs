@@ -101,7 +101,8 @@ impl Scheduler {
             return;
         }
         let quantile = self.config.straggler_quantile;
-        let paces = self.jobs.iter().flat_map(|(id, job)| job.pace.iter().map(move |(kind, pace)| ((*id, *kind), pace)));
+        let paces =
+            self.jobs.iter().flat_map(|(id, job)| job.pace.iter().map(move |(kind, pace)| ((*id, *kind), pace)));
         let usual: BTreeMap<_, f64> = paces.filter_map(|(of, pace)| Some((of, pace.quantile(quantile)?))).collect();
         let is_late = |lease: &Lease| {
             usual.get(&(lease.job, lease.kind)).is_some_and(|ms_per_cost| self.is_late(lease, *ms_per_cost))
@@ -130,7 +131,9 @@ impl Scheduler {
         let lease = self.leases.get(&id)?;
         let job = self.jobs.get(&lease.job).filter(|job| self.may_lease(job))?;
         let once = |task: &TaskId| {
-            self.tasks.get(task).is_some_and(|task| task.state == TaskState::Leased(id, None) && task.failures.is_empty())
+            self.tasks
+                .get(task)
+                .is_some_and(|task| task.state == TaskState::Leased(id, None) && task.failures.is_empty())
         };
         let tasks: Vec<_> = lease.tasks.iter().copied().filter(once).rev().collect();
         let key = &job.classes[self.tasks.get(tasks.first()?)?.class].key;

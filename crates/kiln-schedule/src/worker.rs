@@ -159,7 +159,8 @@ impl Workers {
         self.next_group += 1;
         self.by_capabilities.insert(capabilities.clone(), group);
         let capabilities = capabilities.clone();
-        self.groups.insert(group, Group { capabilities, members: BTreeSet::new(), available: 0, open: BTreeSet::new() });
+        self.groups
+            .insert(group, Group { capabilities, members: BTreeSet::new(), available: 0, open: BTreeSet::new() });
         group
     }
 

@@ -84,7 +84,12 @@ fn crossover(scene: &Scene, settings: &SolveSettings) -> Vec<String> {
         _ => f64::NAN,
     };
     vec![
-        format!("{} unknowns, {} entries", system.len(), system.matrix.entry_count()),
+        format!(
+            "{} unknowns, {} entries, holes {} edges deep",
+            system.len(),
+            system.matrix.entry_count(),
+            system.hole_depth
+        ),
         format!("sparse: {direct_secs:.3} s"),
         format!("pcg: {iterative_secs:.3} s, {:?}", iterative.map(|(_, info)| info)),
         format!("greatest difference: {difference:.2e}; peak {} MB", peak_megabytes()),

@@ -8,7 +8,7 @@
 //! ring by ring from the hole's rim, and are tied to it by a very weak anchor. The regulariser alone would leave
 //! some of them undetermined (a patch joined at one vertex) and a wide hole badly conditioned.
 
-use crate::{edges::Edges, matrix::LowerCsc, samples::FaceSamples, surface::Surface};
+use crate::{edges::Edges, hole, hole::HoleUnknown, matrix::LowerCsc, samples::FaceSamples, surface::Surface};
 use kiln_core::{FaceMoments, SolveSettings};
 
 /// Weight of the anchor of unknowns without samples, as a fraction of the area around them. At 1e-5 the
@@ -24,6 +24,8 @@ pub struct Assembly {
     pub weight: Vec<f64>,
     /// The diagonal of the anchor.
     pub anchor: Vec<f64>,
+    /// How many edges each unknown is from the rim of its hole; 0 outside holes.
+    pub hole_ring: Vec<u32>,
     /// The local averages x0, `unknowns × channels`.
     pub average: Vec<f64>,
     /// `unknowns × 2 channels`: residuals of x0, then half the difference of the two halves' right-hand sides.
@@ -43,13 +45,14 @@ impl Assembly {
             matrix: pattern(n, edges),
             weight: vec![0.0; n],
             anchor: vec![0.0; n],
+            hole_ring: vec![0; n],
             average: vec![0.0; n * channels],
             rhs: vec![0.0; n * 2 * channels],
             channels,
             sampled: Vec::with_capacity(surface.corners.len()),
         };
         assembly.average_samples(surface, moments);
-        let holes = crate::hole::fill_averages(surface, &assembly.weight, &mut assembly.average, channels);
+        let holes = hole::fill_averages(surface, &assembly.weight, &mut assembly.average, channels);
         assembly.add_samples(surface, moments);
         assembly.add_regulariser(surface, edges, settings.regularization);
         assembly.add_anchor(settings.anchor, &holes);
@@ -127,12 +130,13 @@ impl Assembly {
         }
     }
 
-    fn add_anchor(&mut self, anchor: f64, hole_area: &[(u32, f64)]) {
+    fn add_anchor(&mut self, anchor: f64, holes: &[HoleUnknown]) {
         for (anchored, weight) in self.anchor.iter_mut().zip(&self.weight) {
             *anchored = anchor * weight;
         }
-        for &(unknown, area) in hole_area {
-            self.anchor[unknown as usize] = HOLE_ANCHOR * area;
+        for hole in holes {
+            self.anchor[hole.unknown as usize] = HOLE_ANCHOR * hole.area;
+            self.hole_ring[hole.unknown as usize] = hole.ring;
         }
         for (unknown, anchor) in self.anchor.iter().enumerate() {
             self.matrix.add_diagonal(unknown, *anchor);

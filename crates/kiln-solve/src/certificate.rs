@@ -58,7 +58,7 @@ mod tests {
 
     fn system() -> ComponentSystem {
         let matrix = LowerCsc { column_start: vec![0, 2, 3], row: vec![0, 1, 1], value: vec![4.0, 2.0, 3.0] };
-        ComponentSystem { matrix, anchor: vec![0.0; 2], rhs: vec![10.0, 9.0], columns: 1 }
+        ComponentSystem { matrix, anchor: vec![0.0; 2], rhs: vec![10.0, 9.0], columns: 1, hole_depth: 0 }
     }
 
     #[test]

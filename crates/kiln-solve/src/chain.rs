@@ -15,11 +15,14 @@ pub struct SolverParams {
     /// Components of up to this many unknowns get a dense factorisation.
     pub dense_limit: usize,
     /// Components of up to this many unknowns get a sparse factorisation, larger ones conjugate gradients. Where
-    /// every face has samples these take some 20 to 30 iterations and are the faster from about 1,000 unknowns.
+    /// every face has samples these take some 15 to 90 iterations and are the faster from about 1,000 unknowns.
     pub sparse_limit: usize,
-    /// Components of up to this many unknowns turn to the sparse factorisation where conjugate gradients lose
-    /// their patience, larger ones settle for less.
+    /// Components with holes deeper than `hole_limit` get a sparse factorisation up to this many unknowns, because
+    /// conjugate gradients take hundreds of iterations there; so do others where they lose their patience. Larger
+    /// ones settle for less.
     pub direct_limit: usize,
+    /// Depth in edges to which holes do no harm to conjugate gradients.
+    pub hole_limit: u32,
     /// Most bytes of a sparse factor; where it would take more, the chain goes on without it.
     pub sparse_memory_bytes: u64,
     /// When conjugate gradients stop.
@@ -33,7 +36,8 @@ impl Default for SolverParams {
         Self {
             dense_limit: 64,
             sparse_limit: 1000,
-            direct_limit: 200_000,
+            direct_limit: 400_000,
+            hole_limit: 5,
             sparse_memory_bytes: 1 << 30,
             pcg: PcgParams::default(),
             strong_anchor: 10.0,
@@ -42,11 +46,14 @@ impl Default for SolverParams {
 }
 
 impl SolverParams {
-    fn first_method(&self, unknowns: usize) -> ComponentMethod {
-        match unknowns {
-            n if n <= self.dense_limit => ComponentMethod::Dense,
-            n if n <= self.sparse_limit => ComponentMethod::Sparse,
-            _ => ComponentMethod::Pcg,
+    fn first_method(&self, system: &ComponentSystem) -> ComponentMethod {
+        let n = system.len();
+        if n <= self.dense_limit {
+            ComponentMethod::Dense
+        } else if n <= self.sparse_limit || (system.hole_depth > self.hole_limit && n <= self.direct_limit) {
+            ComponentMethod::Sparse
+        } else {
+            ComponentMethod::Pcg
         }
     }
 }
@@ -55,7 +62,7 @@ impl SolverParams {
 /// a stronger anchor; and if nothing holds, the answer is the local averages (no correction).
 pub fn solve_component(system: &ComponentSystem, params: &SolverParams) -> ComponentAnswer {
     let mut iterations = 0;
-    let first = params.first_method(system.len());
+    let first = params.first_method(system);
     let found = match first {
         ComponentMethod::Dense => dense::solve(system).ok(),
         ComponentMethod::Sparse => sparse::solve(system, params.sparse_memory_bytes).ok(),
@@ -136,7 +143,7 @@ mod tests {
         }
         (0..n).for_each(|i| matrix.add_diagonal(i, anchor));
         let rhs = (0..n).map(|i| (i * 31 % 17) as f64 - 8.0).collect();
-        ComponentSystem { matrix, anchor: vec![anchor; n], rhs, columns: 1 }
+        ComponentSystem { matrix, anchor: vec![anchor; n], rhs, columns: 1, hole_depth: 0 }
     }
 
     #[test]
@@ -148,6 +155,10 @@ mod tests {
             assert_eq!(answer.method, method);
             assert!(answer.residual <= RESIDUAL_LIMIT, "{answer:?}");
         }
+        let holes = ComponentSystem { hole_depth: 6, ..loose_line(1000, 1e-2) };
+        assert_eq!(solve_component(&holes, &params).method, ComponentMethod::Sparse);
+        let large = SolverParams { direct_limit: 999, ..params };
+        assert_eq!(solve_component(&holes, &large).method, ComponentMethod::Pcg);
     }
 
     #[test]

@@ -86,7 +86,8 @@ impl Components {
             rhs.extend_from_slice(&assembly.rhs[unknown * columns..(unknown + 1) * columns]);
         }
         let anchor = unknowns.iter().map(|u| assembly.anchor[*u as usize]).collect();
-        ComponentSystem { matrix, anchor, rhs, columns }
+        let hole_depth = unknowns.iter().map(|u| assembly.hole_ring[*u as usize]).max().unwrap_or(0);
+        ComponentSystem { matrix, anchor, rhs, columns, hole_depth }
     }
 }
 

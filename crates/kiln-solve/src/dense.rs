@@ -80,7 +80,7 @@ mod tests {
 
     fn system(value: Vec<f64>, rhs: Vec<f64>) -> ComponentSystem {
         let matrix = LowerCsc { column_start: vec![0, 2, 3], row: vec![0, 1, 1], value };
-        ComponentSystem { matrix, anchor: vec![0.0; 2], rhs, columns: 1 }
+        ComponentSystem { matrix, anchor: vec![0.0; 2], rhs, columns: 1, hole_depth: 0 }
     }
 
     #[test]

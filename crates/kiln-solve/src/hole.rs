@@ -2,25 +2,39 @@
 
 use crate::surface::Surface;
 
+/// An unknown that no sample reaches.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct HoleUnknown {
+    pub(crate) unknown: u32,
+    /// A third of the area of its faces.
+    pub(crate) area: f64,
+    /// Its distance from the rim in edges; 0 where no path leads to a rim.
+    pub(crate) ring: u32,
+}
+
 /// Sets the averages of unknowns that have no weight but a path to one that has: each ring gets the mean of its
-/// neighbours in the rings before, one for each face that joins them. Returns the unknowns of holes, each with
-/// a third of the area of its faces; unknowns without such a path stay 0 and are among them.
+/// neighbours in the rings before, one for each face that joins them. Returns the unknowns without weight;
+/// averages of those without such a path stay 0.
 pub(crate) fn fill_averages(
     surface: &Surface,
     weight: &[f64],
     average: &mut [f64],
     channels: usize,
-) -> Vec<(u32, f64)> {
+) -> Vec<HoleUnknown> {
     let hole = Hole::new(surface, weight);
-    let mut filled: Vec<bool> = hole.unknowns.iter().map(|u| weight[*u as usize] > 0.0).collect();
-    let mut ring: Vec<u32> = (0..hole.unknowns.len() as u32).filter(|local| filled[*local as usize]).collect();
-    while !ring.is_empty() {
-        let mut next: Vec<u32> = ring.iter().flat_map(|local| hole.neighbours(*local)).copied().collect();
+    let mut ring_of: Vec<u32> =
+        hole.unknowns.iter().map(|u| if weight[*u as usize] > 0.0 { 0 } else { u32::MAX }).collect();
+    let mut last: Vec<u32> = (0..ring_of.len() as u32).filter(|local| ring_of[*local as usize] == 0).collect();
+    for ring in 1.. {
+        let mut next: Vec<u32> = last.iter().flat_map(|local| hole.neighbours(*local)).copied().collect();
         next.sort_unstable();
         next.dedup();
-        next.retain(|local| !filled[*local as usize]);
+        next.retain(|local| ring_of[*local as usize] == u32::MAX);
+        if next.is_empty() {
+            break;
+        }
         for &local in &next {
-            let before = hole.neighbours(local).iter().filter(|other| filled[**other as usize]);
+            let before = hole.neighbours(local).iter().filter(|other| ring_of[**other as usize] < ring);
             let sources: Vec<usize> = before.map(|other| hole.unknowns[*other as usize] as usize).collect();
             let target = hole.unknowns[local as usize] as usize;
             for c in 0..channels {
@@ -28,10 +42,10 @@ pub(crate) fn fill_averages(
                 average[target * channels + c] = sum / sources.len() as f64;
             }
         }
-        next.iter().for_each(|local| filled[*local as usize] = true);
-        ring = next;
+        next.iter().for_each(|local| ring_of[*local as usize] = ring);
+        last = next;
     }
-    hole.areas(weight)
+    hole.report(weight, &ring_of)
 }
 
 /// The faces that touch an unknown without weight, in local numbers.
@@ -72,9 +86,14 @@ impl Hole {
         &self.neighbour[self.start[local as usize] as usize..self.start[local as usize + 1] as usize]
     }
 
-    fn areas(&self, weight: &[f64]) -> Vec<(u32, f64)> {
-        let all = self.unknowns.iter().copied().zip(self.area.iter().copied());
-        all.filter(|(unknown, _)| weight[*unknown as usize] == 0.0).collect()
+    fn report(&self, weight: &[f64], ring_of: &[u32]) -> Vec<HoleUnknown> {
+        let all = self.unknowns.iter().zip(&self.area).zip(ring_of);
+        let all = all.map(|((&unknown, &area), &ring)| HoleUnknown {
+            unknown,
+            area,
+            ring: if ring == u32::MAX { 0 } else { ring },
+        });
+        all.filter(|hole| weight[hole.unknown as usize] == 0.0).collect()
     }
 }
 
@@ -99,21 +118,21 @@ mod tests {
         let mut average = vec![0.0; 8];
         average[0] = 0.2;
         average[1] = 0.5;
-        let areas = fill_averages(&strip(3), &weight, &mut average, 1);
+        let holes = fill_averages(&strip(3), &weight, &mut average, 1);
         // 2 touches 0 once and 1 twice, 3 touches 1 only.
         let [ring_2, ring_3] = [(0.2 + 2.0 * 0.5) / 3.0, 0.5];
         assert!((average[2] - ring_2).abs() < 1e-15 && (average[3] - ring_3).abs() < 1e-15, "{average:?}");
         assert!((average[4] - (ring_2 + 2.0 * ring_3) / 3.0).abs() < 1e-15, "{average:?}");
         assert!(average[6..].iter().all(|x| (0.4..=0.5).contains(x)), "{average:?}");
-        assert_eq!(areas.len(), 6);
-        assert!((areas.iter().map(|(_, area)| area).sum::<f64>() - (3.0 - 0.5 / 3.0 * 3.0)).abs() < 1e-15);
+        assert_eq!(holes.iter().map(|h| h.ring).collect::<Vec<_>>(), [1, 1, 2, 2, 3, 3]);
+        assert!((holes.iter().map(|h| h.area).sum::<f64>() - (3.0 - 0.5 / 3.0 * 3.0)).abs() < 1e-15);
     }
 
     #[test]
     fn without_a_rim_nothing_is_filled() {
         let mut average = vec![0.0; 8];
-        let areas = fill_averages(&strip(3), &[0.0; 8], &mut average, 1);
+        let holes = fill_averages(&strip(3), &[0.0; 8], &mut average, 1);
         assert_eq!(average, [0.0; 8]);
-        assert_eq!(areas.len(), 8);
+        assert_eq!(holes.iter().map(|h| h.ring).collect::<Vec<_>>(), [0; 8]);
     }
 }

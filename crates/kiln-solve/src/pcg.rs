@@ -21,8 +21,8 @@ const CHUNK: usize = 4096;
 pub struct PcgParams {
     /// Greatest `|r_i| / A_ii` of a converged answer; AO values are in [0, 1].
     pub tolerance: f64,
-    /// Iterations after which `settle` is enough. Where faces have samples, 20 to 30 iterations reach the
-    /// tolerance; what is left after five times as many is the smooth part of wide holes.
+    /// Iterations after which `settle` is enough. Where faces have samples, 15 to 90 iterations reach the
+    /// tolerance; what is left after these is the smooth part of wide holes.
     pub patience: u64,
     /// Greatest `|r_i| / A_ii` of an answer after `patience` iterations.
     pub settle: f64,
@@ -277,7 +277,7 @@ mod tests {
         (1..n as u32).for_each(|i| matrix.add(i - 1, i, -1.0));
         let mut rhs = vec![0.0; 2 * n];
         rhs[0] = 1.0;
-        ComponentSystem { matrix, anchor: vec![0.0; n], rhs, columns: 2 }
+        ComponentSystem { matrix, anchor: vec![0.0; n], rhs, columns: 2, hole_depth: 0 }
     }
 
     #[test]

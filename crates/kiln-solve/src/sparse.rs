@@ -88,7 +88,7 @@ mod tests {
         let mut matrix = LowerCsc::with_pattern(n, || (1..n as u32).map(|i| [i - 1, i]));
         (0..n).for_each(|i| matrix.add_diagonal(i, 2.0 + shift));
         (1..n as u32).for_each(|i| matrix.add(i - 1, i, -1.0));
-        ComponentSystem { matrix, anchor: vec![0.0; n], rhs: vec![1.0; 2 * n], columns: 2 }
+        ComponentSystem { matrix, anchor: vec![0.0; n], rhs: vec![1.0; 2 * n], columns: 2, hole_depth: 0 }
     }
 
     #[test]

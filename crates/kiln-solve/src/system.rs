@@ -17,6 +17,9 @@ pub struct ComponentSystem {
     pub rhs: Vec<f64>,
     /// Number of right-hand sides, 1 to [`MAX_COLUMNS`].
     pub columns: usize,
+    /// The greatest distance, in edges, of an unknown that no sample reaches from one that some sample reaches:
+    /// the condition of A grows with it.
+    pub hole_depth: u32,
 }
 
 /// The most right-hand sides of one system: a value and a half difference for each channel.

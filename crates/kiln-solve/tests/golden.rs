@@ -20,7 +20,7 @@ fn values() -> Vec<u8> {
     mesh.positions.push(mesh.positions[small as usize + 24]);
     mesh.normals = vec![[0.0, 0.0, 1.0]; mesh.positions.len()];
     mesh.faces.extend(corner.faces.iter().map(|f| f.map(|v| v + small)));
-    mesh.faces.last_mut().unwrap()[2] = small + 25;
+    mesh.faces.last_mut().expect("the grid has faces")[2] = small + 25;
     mesh.face_group.resize(mesh.faces.len(), 0);
     let polynomial = |p: DVec3| (0.2 + 0.01 * p.x * p.y - 0.002 * p.x * p.x).clamp(0.0, 1.0);
     let samples = moments(&mesh, 3, |s| {

@@ -2,7 +2,7 @@
 
 mod shapes;
 
-use glam::{DAffine3, DMat3, DQuat, DVec3};
+use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use kiln_core::{ComponentMethod, FaceMoments, HalfMoments, Mesh};
 use kiln_solve::{
     SolverParams, assemble::Assembly, components::Components, dense, edges::Edges, frame::Frame, pcg, pcg::PcgParams,
@@ -264,7 +264,7 @@ impl Definition {
     fn solve(mut self) -> Vec<f64> {
         let n = self.b.len();
         for k in 0..n {
-            let pivot = (k..n).max_by(|i, j| self.a[*i][k].abs().total_cmp(&self.a[*j][k].abs())).unwrap();
+            let pivot = (k..n).max_by(|i, j| self.a[*i][k].abs().total_cmp(&self.a[*j][k].abs())).expect("k < n");
             self.a.swap(k, pivot);
             self.b.swap(k, pivot);
             for i in k + 1..n {
@@ -283,7 +283,7 @@ impl Definition {
 }
 
 fn area(mesh: &Mesh, face: usize) -> f64 {
-    let [a, b, c] = mesh.corners(face).map(|c| c.as_dvec3());
+    let [a, b, c] = mesh.corners(face).map(Vec3::as_dvec3);
     0.5 * (b - a).cross(c - a).length()
 }
 
@@ -355,7 +355,7 @@ proptest! {
 }
 
 fn systems(mesh: &Mesh, moments: &FaceMoments, alpha: f64) -> Vec<kiln_solve::ComponentSystem> {
-    let frame = Frame::new(mesh, &DAffine3::IDENTITY).unwrap();
+    let frame = Frame::new(mesh, &DAffine3::IDENTITY).expect("a soup has an extent");
     let surface = Surface::new(mesh, &frame, &Weld::new(mesh, &frame, 15.0));
     let assembly = Assembly::new(&surface, &Edges::new(&surface), moments, &settings(alpha, 1e-3));
     let components = Components::new(&surface);

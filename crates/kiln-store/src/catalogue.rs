@@ -61,14 +61,8 @@ impl Catalogue {
         if noted.is_some() {
             fs::remove_file(self.clean_note()).map_err(StoreError::io("remove", self.clean_note()))?;
         }
-        let existed = self.index.exists();
-        let opened = self.index.open().and_then(|()| {
-            let clean = noted.is_some_and(|noted| Ok(noted) == self.index.checksum().map(|sum| sum.to_string()));
-            if existed && !clean {
-                tracing::info!("the index was not closed well: checking it against the packs");
-            }
-            self.reconcile(!clean)
-        });
+        let noted = noted.and_then(|noted| noted.trim().parse().ok());
+        let opened = self.index.open().and_then(|()| self.reconcile(noted));
         match opened {
             Ok(()) => {
                 self.openings.fetch_add(1, Ordering::Release);
@@ -87,7 +81,7 @@ impl Catalogue {
         } else if self.index.exists() {
             self.layout.set_aside(self.index.folder(), &failure.reason);
         }
-        let rebuilt = self.index.open().and_then(|()| self.reconcile(true));
+        let rebuilt = self.index.open().and_then(|()| self.reconcile(None));
         if let Err(failure) = rebuilt {
             self.index.close(true);
             return Err(self.failed(failure));
@@ -121,12 +115,12 @@ impl Catalogue {
         operation(&self.index).map_err(|failure| self.failed(failure))
     }
 
-    /// Brings the index into step with the folder of packs. `deep` reads the header of every pack; otherwise those
-    /// that the index does not know.
-    fn reconcile(&self, deep: bool) -> Result<(), IndexFailure> {
+    /// Brings the index into step with the folder of packs. Where the index is as it was `noted` when it was closed,
+    /// only the headers of packs that it does not know are read; otherwise all.
+    fn reconcile(&self, noted: Option<Digest>) -> Result<(), IndexFailure> {
         let mut known = BTreeSet::new();
         let mut lost: BTreeMap<Digest, Vec<Digest>> = BTreeMap::new();
-        self.index.for_each(|record| match record {
+        let found = self.index.for_each(|record| match record {
             Record::Pack(name) => {
                 known.insert(name);
             }
@@ -143,6 +137,10 @@ impl Catalogue {
             changes.remove_artefact(digest);
         }
         self.index.apply(&changes)?;
+        let deep = noted != Some(found);
+        if deep && !known.is_empty() {
+            tracing::info!("the index was not closed well: it is checked against the packs");
+        }
         for (name, _) in self.packs.list() {
             if deep || !known.contains(&name) {
                 self.index_pack(&name, known.contains(&name))?;
@@ -294,5 +292,62 @@ impl Drop for Catalogue {
         if let Err(error) = fs::write(self.clean_note(), checksum.to_string()) {
             tracing::debug!(%error, "the index will be checked at the next opening");
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pack::PackTable;
+
+    fn open(folder: &std::path::Path) -> Catalogue {
+        let layout = Arc::new(Layout::new(folder));
+        layout.prepare().unwrap();
+        Catalogue::open(layout, 1 << 20, Arc::default()).unwrap()
+    }
+
+    fn put(catalogue: &Catalogue, artefact: &[u8]) -> Digest {
+        let digest = Digest::of(artefact);
+        let task = TaskKey(Digest::of(b"task"));
+        let table = PackTable { entries: vec![(digest, artefact.len() as u64)], results: vec![(task, digest)] };
+        let header = PackHeader::new(table).unwrap();
+        catalogue.packs.write(&header, &[artefact]).unwrap();
+        catalogue.commit(&header).unwrap();
+        digest
+    }
+
+    #[test]
+    fn an_index_that_fails_is_mended_while_others_use_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let catalogue = open(folder.path());
+        let digest = put(&catalogue, b"kept");
+        catalogue.index.close(true);
+        std::thread::scope(|scope| {
+            for _ in 0..4 {
+                scope.spawn(|| assert!(catalogue.location(&digest).unwrap().is_some()));
+            }
+        });
+        assert_eq!(catalogue.openings.load(Ordering::Relaxed), 2, "it is mended once");
+        assert_eq!(catalogue.result(&TaskKey(Digest::of(b"task"))).unwrap().map(|(digest, _)| digest), Some(digest));
+        let quarantined = fs::read_dir(catalogue.layout.quarantine()).unwrap().count();
+        assert_eq!(quarantined, 1, "the failed index is kept for a look");
+    }
+
+    #[test]
+    fn the_index_learns_of_packs_that_it_missed_and_forgets_those_that_are_gone() {
+        let folder = tempfile::tempdir().unwrap();
+        let catalogue = open(folder.path());
+        let first = put(&catalogue, b"first");
+        let location = catalogue.location(&first).unwrap().unwrap();
+        // As after a crash between the pack and the index.
+        catalogue.forget_packs(&[location.pack], &BTreeSet::from([first])).unwrap();
+        let second = put(&catalogue, b"second");
+        let gone = catalogue.location(&second).unwrap().unwrap().pack;
+        fs::remove_file(catalogue.packs.path(&gone)).unwrap();
+        drop(catalogue);
+        let catalogue = open(folder.path());
+        assert_eq!(catalogue.location(&first).unwrap(), Some(location));
+        assert_eq!(catalogue.location(&second).unwrap(), None);
+        assert_eq!(catalogue.counts().unwrap().0, 1);
     }
 }

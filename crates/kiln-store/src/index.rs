@@ -158,31 +158,27 @@ impl Index {
         self.run(|database| database.apply_batch(changes.0.clone()))
     }
 
-    /// Every record, in order of kind and key. Records that make no sense are left out.
-    pub(crate) fn for_each(&self, mut visit: impl FnMut(Record)) -> Result<(), IndexFailure> {
-        self.run(|database| {
-            for entry in database.iter() {
-                let (key, value) = entry?;
-                if let Some(record) = record(&key, &value) {
-                    visit(record);
-                }
-            }
-            Ok(())
-        })
-    }
-
-    /// Digest of all records: what the index should say when it is opened again.
-    pub(crate) fn checksum(&self) -> Result<Digest, IndexFailure> {
+    /// Visits every record, in order of kind and key, and returns a digest of all. Records that make no sense are not
+    /// visited.
+    pub(crate) fn for_each(&self, mut visit: impl FnMut(Record)) -> Result<Digest, IndexFailure> {
         let mut stream = DigestStream::default();
         self.run(|database| {
             for entry in database.iter() {
                 let (key, value) = entry?;
                 stream.update(&key);
                 stream.update(&value);
+                if let Some(record) = record(&key, &value) {
+                    visit(record);
+                }
             }
             Ok(())
         })?;
         Ok(stream.finish())
+    }
+
+    /// Digest of all records: what the index should say when it is opened again.
+    pub(crate) fn checksum(&self) -> Result<Digest, IndexFailure> {
+        self.for_each(drop)
     }
 
     /// Bytes of its files.

@@ -37,7 +37,13 @@ impl FolderLock {
 
 fn open(layout: &Layout) -> Result<File, StoreError> {
     let path = layout.lock();
-    File::options().read(true).write(true).create(true).truncate(false).open(&path).map_err(StoreError::io("open", path))
+    File::options()
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .open(&path)
+        .map_err(StoreError::io("open", path))
 }
 
 fn held(layout: &Layout) -> StoreError {

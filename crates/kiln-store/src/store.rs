@@ -13,7 +13,7 @@ use crate::{
 };
 use kiln_core::{Digest, DigestStream, TaskKey};
 use std::{
-    collections::{BTreeMap, VecDeque},
+    collections::{BTreeMap, BTreeSet, VecDeque},
     fs,
     io::Read,
     path::Path,
@@ -22,6 +22,9 @@ use std::{
 
 /// Artefacts that were checked whole are remembered, this many, so that reading one in ranges checks it once.
 const REMEMBERED_CHECKS: usize = 64;
+
+/// Results of tasks that have none here.
+type NewResults = Vec<(TaskKey, Digest)>;
 
 /// Artefacts, results and the journal in a data folder. Calls block; any number of threads may make them.
 #[derive(Debug)]
@@ -152,7 +155,7 @@ impl Store {
         &self,
         results: &[(TaskKey, Digest)],
         given: &BTreeMap<Digest, &[u8]>,
-    ) -> Result<(Vec<(TaskKey, Digest)>, Vec<ResultConflict>), StoreError> {
+    ) -> Result<(NewResults, Vec<ResultConflict>), StoreError> {
         let mut new = BTreeMap::new();
         let mut conflicts = Vec::new();
         for &(key, offered) in results {
@@ -281,7 +284,17 @@ impl Store {
 
     /// Like [`Self::result`] for many tasks, in order.
     pub fn results(&self, keys: &[TaskKey]) -> Result<Vec<Option<Digest>>, StoreError> {
-        keys.iter().map(|key| self.result(*key)).collect()
+        let mut used = BTreeSet::new();
+        let mut found = Vec::with_capacity(keys.len());
+        for key in keys {
+            let result = self.catalogue.result(key)?;
+            found.push(result.map(|(digest, location)| {
+                used.insert(location.pack);
+                digest
+            }));
+        }
+        used.iter().for_each(|pack| self.catalogue.packs.touch(pack));
+        Ok(found)
     }
 
     /// What the folder holds. Walks the index: a matter of a tenth of a second for 100,000 artefacts.

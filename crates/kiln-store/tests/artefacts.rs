@@ -1,4 +1,5 @@
 //! Artefacts and results go in and come out, over openings and from several threads.
+#![expect(clippy::unwrap_used, reason = "tests panic where something is wrong")]
 
 use kiln_core::{Digest, TaskKey};
 use kiln_store::{FaultPoint, OpenOptions, ResultConflict, Store, StoreError};

@@ -1,32 +1,42 @@
-//! Processor time of tasks that share threads.
+//! Processor time of tasks.
+//!
+//! A task may be parallel and share its threads with others, so it has no clock of its own. The process has: what
+//! it used since the last lease ended is put down to the lease that ends now. The sum is right; between leases that
+//! overlap, the one that ends first gets the time of both.
 
-use std::{cell::Cell, time::Duration};
+use std::{
+    sync::{Mutex, PoisonError},
+    time::Duration,
+};
 
-thread_local! {
-    /// Processor time of tasks that ran on this thread inside the present one.
-    static INNER: Cell<Duration> = const { Cell::new(Duration::ZERO) };
-}
+/// Gives out the process's processor time, each bit of it once.
+pub(crate) struct CpuMeter(Mutex<Duration>);
 
-/// Runs a task and returns its processor time on this thread, seconds. A thread that waits inside one task may run
-/// another meanwhile: that one's time is its own.
-pub(crate) fn measure<T>(task: impl FnOnce() -> T) -> (T, f64) {
-    let outer = INNER.replace(Duration::ZERO);
-    let start = thread_time();
-    let result = task();
-    let whole = thread_time().saturating_sub(start);
-    let inner = INNER.replace(outer + whole);
-    (result, whole.saturating_sub(inner).as_secs_f64())
+impl CpuMeter {
+    /// A meter that starts now.
+    pub(crate) fn start() -> Self {
+        Self(Mutex::new(process_time()))
+    }
+
+    /// Seconds used since the last call.
+    pub(crate) fn take(&self) -> f64 {
+        let mut given = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let now = process_time();
+        let seconds = now.saturating_sub(*given).as_secs_f64();
+        *given = now;
+        seconds
+    }
 }
 
 #[cfg(unix)]
-fn thread_time() -> Duration {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+fn process_time() -> Duration {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     Duration::new(time.tv_sec.unsigned_abs(), time.tv_nsec.unsigned_abs() as u32)
 }
 
 /// Elsewhere wall time has to do.
 #[cfg(not(unix))]
-fn thread_time() -> Duration {
+fn process_time() -> Duration {
     use std::{sync::OnceLock, time::Instant};
     static START: OnceLock<Instant> = OnceLock::new();
     START.get_or_init(Instant::now).elapsed()
@@ -35,21 +45,20 @@ fn thread_time() -> Duration {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::{hint::black_box, time::Instant};
-
-    fn spin(time: Duration) {
-        let start = Instant::now();
-        while start.elapsed() < time {
-            black_box(0);
-        }
-    }
+    use std::{hint::black_box, thread, time::Instant};
 
     #[test]
-    fn inner_tasks_keep_their_own_time() {
-        let ((_, inner), outer) = measure(|| {
-            spin(Duration::from_millis(5));
-            measure(|| spin(Duration::from_millis(60)))
-        });
-        assert!(inner > outer, "{inner} {outer}");
+    fn counts_work_of_every_thread_once() {
+        let meter = CpuMeter::start();
+        let spin = || {
+            let start = Instant::now();
+            while start.elapsed() < Duration::from_millis(50) {
+                black_box(0);
+            }
+        };
+        thread::spawn(spin).join().unwrap();
+        let used = meter.take();
+        assert!(used > 0.005, "{used}");
+        assert!(meter.take() < used, "it was given out already");
     }
 }

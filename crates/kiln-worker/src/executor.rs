@@ -66,7 +66,8 @@ impl CancelFlag {
     }
 }
 
-/// Runs tasks. Called from several threads at once, inside the worker's thread pool.
+/// Runs tasks. Called from several of the worker's threads at once, none of which is rayon's: a task may wait for
+/// another one's work, and may use rayon for its own.
 pub trait Executor: Send + Sync + 'static {
     /// The lanes that it works in.
     fn lanes(&self) -> Lanes;

@@ -1,22 +1,35 @@
 //! Running the tasks of a lease, side by side on the worker's threads.
 
-use crate::{Artefacts, CancelFlag, Executor, TaskError, cpu_time};
+use crate::{ArtefactError, Artefacts, CancelFlag, Executor, TaskError, cpu_time::CpuMeter, threads::TaskThreads};
 use bytes::Bytes;
 use kiln_core::{Digest, TaskKey, TaskSpec};
 use kiln_proto::{limits, v1};
-use rayon::prelude::*;
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
+    sync::{Arc, mpsc},
     time::Instant,
 };
 
 /// A leased task, checked.
+#[derive(Clone)]
 pub(crate) struct LeasedTask {
     pub(crate) id: u64,
     pub(crate) key: TaskKey,
     pub(crate) spec: TaskSpec,
     pub(crate) cancel: CancelFlag,
 }
+
+/// What a lease is run with.
+#[derive(Clone)]
+pub(crate) struct Bench {
+    pub(crate) threads: TaskThreads,
+    pub(crate) executor: Arc<dyn Executor>,
+    pub(crate) artefacts: Arc<dyn Artefacts>,
+    pub(crate) cpu: Arc<CpuMeter>,
+}
+
+/// Is told of each finished task and of rays.
+pub(crate) type Progress = Arc<dyn Fn(u32, u64) + Send + Sync>;
 
 /// What came of a lease's tasks.
 #[derive(Debug, Default)]
@@ -41,52 +54,71 @@ struct Done {
     key: TaskKey,
     result: Bytes,
     attachments: Vec<Bytes>,
-    seconds: f64,
-    cpu_seconds: f64,
     rays: u64,
+    began: Instant,
+    ended: Instant,
 }
 
-/// Runs the tasks and stores what they give, all together. Must be called inside the worker's thread pool.
-/// `progress` is told of each finished task and of rays.
-pub(crate) fn run(
-    tasks: &[LeasedTask],
-    executor: &dyn Executor,
-    artefacts: &dyn Artefacts,
-    progress: &(dyn Fn(u32, u64) + Sync),
-) -> LeaseOutcome {
-    let start = Instant::now();
-    let ran: Vec<Result<Done, Option<Failure>>> = tasks
-        .par_iter()
-        .with_max_len(1)
-        .map(|task| {
-            let outcome = run_task(task, executor, artefacts, &|rays| progress(0, rays));
-            progress(1, 0);
-            outcome.map_err(|error| failure(task, &error))
-        })
-        .collect();
-    let (mut done, mut failures) = (Vec::new(), Vec::new());
-    for outcome in ran {
-        match outcome {
-            Ok(task) => done.push(task),
-            Err(failure) => failures.extend(failure),
+impl Bench {
+    /// Runs the tasks and stores what they give, all together. Blocks.
+    pub(crate) fn run(&self, tasks: &[LeasedTask], progress: &Progress) -> LeaseOutcome {
+        let mut failures = Vec::new();
+        let mut done = Vec::new();
+        for (task, outcome) in tasks.iter().zip(self.run_all(tasks, progress)) {
+            match outcome {
+                Ok(result) => done.push(result),
+                Err(error) => failures.extend(failure(task, &error)),
+            }
         }
+        let began = done.iter().map(|task| task.began).min();
+        let ended = done.iter().map(|task| task.ended).max();
+        let seconds = began.zip(ended).map_or(0.0, |(began, ended)| (ended - began).as_secs_f64());
+        let blobs: Vec<Bytes> = done.iter().flat_map(blobs).collect();
+        let stored = if blobs.is_empty() { Ok(Vec::new()) } else { self.artefacts.store(blobs) };
+        let results = match stored {
+            Ok(_) => self.results(&done),
+            Err(error) => {
+                failures.extend(done.iter().map(|task| not_stored(task, &error)));
+                Vec::new()
+            }
+        };
+        LeaseOutcome { results, failures, seconds }
     }
-    let stored = artefacts.store(done.iter().flat_map(blobs).collect());
-    let results = match stored {
-        Ok(_) => done.iter().map(result).collect(),
-        Err(error) => {
-            let error = TaskError::Artefact(error);
-            failures.extend(done.iter().map(|task| Failure {
-                id: task.id,
-                key: task.key,
-                kind: v1::TaskFailureKind::Artefact,
-                message: format!("the result could not be stored: {error}"),
-                missing: None,
-            }));
-            Vec::new()
+
+    /// Outcomes in the order of the tasks.
+    fn run_all(&self, tasks: &[LeasedTask], progress: &Progress) -> Vec<Result<Done, TaskError>> {
+        let (send, outcomes) = mpsc::channel();
+        for (i, task) in tasks.iter().cloned().enumerate() {
+            let (send, progress) = (send.clone(), Arc::clone(progress));
+            let (executor, artefacts) = (Arc::clone(&self.executor), Arc::clone(&self.artefacts));
+            self.threads.run(move || {
+                let outcome = run_task(&task, &*executor, &*artefacts, &|rays| progress(0, rays));
+                progress(1, 0);
+                // The receiver waits until every sender is gone.
+                let _ = send.send((i, outcome));
+            });
         }
-    };
-    LeaseOutcome { results, failures, seconds: start.elapsed().as_secs_f64() }
+        drop(send);
+        let lost = || Err(TaskError::Failed { reason: "the worker's threads have ended".to_owned() });
+        let mut ran: Vec<Result<Done, TaskError>> = tasks.iter().map(|_| lost()).collect();
+        outcomes.iter().for_each(|(i, outcome): (usize, _)| ran[i] = outcome);
+        ran
+    }
+
+    fn results(&self, done: &[Done]) -> Vec<v1::TaskResult> {
+        let seconds = |task: &Done| (task.ended - task.began).as_secs_f64();
+        let all_seconds: f64 = done.iter().map(seconds).sum();
+        let cpu_per_second = if all_seconds > 0.0 { self.cpu.take() / all_seconds } else { 0.0 };
+        let result = |task: &Done| v1::TaskResult {
+            task_id: task.id,
+            key: task.key.0.0.to_vec(),
+            artefact: Digest::of(&task.result).0.to_vec(),
+            seconds: seconds(task),
+            cpu_seconds: seconds(task) * cpu_per_second,
+            rays: task.rays,
+        };
+        done.iter().map(result).collect()
+    }
 }
 
 fn run_task(
@@ -95,19 +127,22 @@ fn run_task(
     artefacts: &dyn Artefacts,
     progress: &dyn Fn(u64),
 ) -> Result<Done, TaskError> {
-    let start = Instant::now();
+    if task.cancel.is_cancelled() {
+        return Err(TaskError::Cancelled);
+    }
+    let began = Instant::now();
     // A bug in a task must not take the worker and its other leases down.
-    let run = || catch_unwind(AssertUnwindSafe(|| executor.run(&task.spec, artefacts, &task.cancel, progress)));
-    let (output, cpu_seconds) = cpu_time::measure(run);
+    let run = || executor.run(&task.spec, artefacts, &task.cancel, progress);
+    let output = catch_unwind(AssertUnwindSafe(run));
     let output = output.map_err(|panic| TaskError::Failed { reason: describe_panic(&*panic) })??;
     Ok(Done {
         id: task.id,
         key: task.key,
         result: output.result.into(),
         attachments: output.attachments.into_iter().map(Bytes::from).collect(),
-        seconds: start.elapsed().as_secs_f64(),
-        cpu_seconds,
         rays: output.rays,
+        began,
+        ended: Instant::now(),
     })
 }
 
@@ -120,28 +155,24 @@ fn blobs(task: &Done) -> impl Iterator<Item = Bytes> {
     std::iter::once(&task.result).chain(&task.attachments).cloned()
 }
 
-fn result(task: &Done) -> v1::TaskResult {
-    v1::TaskResult {
-        task_id: task.id,
-        key: task.key.0.0.to_vec(),
-        artefact: Digest::of(&task.result).0.to_vec(),
-        seconds: task.seconds,
-        cpu_seconds: task.cpu_seconds,
-        rays: task.rays,
+fn not_stored(task: &Done, error: &ArtefactError) -> Failure {
+    Failure {
+        id: task.id,
+        key: task.key,
+        kind: v1::TaskFailureKind::Artefact,
+        message: format!("the result could not be stored: {error}"),
+        missing: None,
     }
 }
 
 /// What is said of a task that did not give a result; nothing of one that was cancelled.
 fn failure(task: &LeasedTask, error: &TaskError) -> Option<Failure> {
-    let kind = match error {
+    let (kind, missing) = match error {
         TaskError::Cancelled => return None,
-        TaskError::Refused { .. } => v1::TaskFailureKind::Refused,
-        TaskError::Failed { .. } => v1::TaskFailureKind::Failed,
-        TaskError::Artefact(_) => v1::TaskFailureKind::Artefact,
-    };
-    let missing = match error {
-        TaskError::Artefact(crate::ArtefactError::Missing { digest }) => Some(*digest),
-        _ => None,
+        TaskError::Refused { .. } => (v1::TaskFailureKind::Refused, None),
+        TaskError::Failed { .. } => (v1::TaskFailureKind::Failed, None),
+        TaskError::Artefact(ArtefactError::Missing { digest }) => (v1::TaskFailureKind::Artefact, Some(*digest)),
+        TaskError::Artefact(_) => (v1::TaskFailureKind::Artefact, None),
     };
     let message = limits::cut(&error.to_string(), limits::FAILURE_TEXT_BYTES).to_owned();
     Some(Failure { id: task.id, key: task.key, kind, message, missing })

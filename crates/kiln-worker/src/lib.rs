@@ -11,6 +11,7 @@ mod executor;
 mod lease;
 mod session;
 pub mod tasks;
+mod threads;
 
 pub use artefacts::{ArtefactError, Artefacts, LocalArtefacts, RemoteArtefacts};
 pub use executor::{CancelFlag, Executor, Lanes, TaskError, TaskOutput};

@@ -6,12 +6,14 @@
 
 use crate::{
     Artefacts, CancelFlag, Executor,
-    lease::{self, LeaseOutcome, LeasedTask},
+    cpu_time::CpuMeter,
+    lease::{Bench, LeaseOutcome, LeasedTask, Progress},
+    threads::TaskThreads,
 };
 use kiln_core::{TaskKey, TaskKind};
 use kiln_proto::{client::Farm, digest, v1};
 use std::{
-    collections::BTreeMap,
+    collections::{BTreeMap, BTreeSet},
     future::Future,
     pin::{Pin, pin},
     sync::Arc,
@@ -72,7 +74,7 @@ pub enum WorkerError {
     Refused(Status),
     /// Its threads could not be started.
     #[error("the worker's threads cannot be started: {0}")]
-    Threads(#[from] rayon::ThreadPoolBuildError),
+    Threads(#[from] std::io::Error),
 }
 
 /// Leases taken at once: while one runs out of tasks, the next keeps the threads busy.
@@ -86,13 +88,15 @@ pub async fn run(
     config: WorkerConfig,
     shutdown: impl Future<Output = ()> + Send,
 ) -> Result<(), WorkerError> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(config.threads).build()?;
     let (finished, mut finishes) = mpsc::channel(64);
     let mut worker = Worker {
+        bench: Bench {
+            threads: TaskThreads::start(config.threads)?,
+            executor,
+            artefacts,
+            cpu: Arc::new(CpuMeter::start()),
+        },
         config,
-        executor,
-        artefacts,
-        pool: Arc::new(pool),
         started: Instant::now(),
         leases: BTreeMap::new(),
         next_part: 0,
@@ -129,9 +133,7 @@ fn is_final(status: &Status) -> bool {
 
 struct Worker {
     config: WorkerConfig,
-    executor: Arc<dyn Executor>,
-    artefacts: Arc<dyn Artefacts>,
-    pool: Arc<rayon::ThreadPool>,
+    bench: Bench,
     started: Instant,
     /// Parts of leases that run: a long lease comes in several messages.
     leases: BTreeMap<u64, LeasePart>,
@@ -214,13 +216,16 @@ impl Worker {
     }
 
     fn hello(&self) -> v1::Hello {
-        let lanes = self.executor.lanes();
+        let lanes = self.bench.executor.lanes();
         let role = |role: &Role| match role {
             Role::Trace => v1::WorkerRole::Trace.into(),
             Role::Reduce => v1::WorkerRole::Reduce.into(),
         };
-        let mut held: Vec<v1::LeaseRef> = self.leases.values().map(|part| part.lease).collect();
-        held.dedup();
+        // Results that may not have arrived are as good as work under way: nobody else need begin it anew.
+        let unsettled = self.unsettled.values().filter_map(|results| results.lease);
+        let held = self.leases.values().map(|part| part.lease).chain(unsettled);
+        let held: BTreeSet<(u64, u32)> = held.map(|lease| (lease.lease_id, lease.epoch)).collect();
+        let held = held.into_iter().map(|(lease_id, epoch)| v1::LeaseRef { lease_id, epoch }).collect();
         let rev = |kind: &TaskKind| v1::KernelRev { kind: v1::TaskKind::from(*kind).into(), rev: kind.kernel_rev() };
         v1::Hello {
             worker_id: self.config.worker_id.clone(),
@@ -283,11 +288,11 @@ impl Worker {
         self.next_part += 1;
         let flags = tasks.iter().map(|task| (task.id, task.cancel.clone())).collect();
         self.leases.insert(part, LeasePart { lease, tasks: flags });
-        let (executor, artefacts) = (Arc::clone(&self.executor), Arc::clone(&self.artefacts));
-        let (pool, finished) = (Arc::clone(&self.pool), self.finished.clone());
+        let (bench, finished) = (self.bench.clone(), self.finished.clone());
         tokio::task::spawn_blocking(move || {
-            let progress = ProgressSender::new(lease, finished.clone());
-            let outcome = pool.install(|| lease::run(&tasks, &*executor, &*artefacts, &|t, r| progress.add(t, r)));
+            let sender = ProgressSender::new(lease, finished.clone());
+            let progress: Progress = Arc::new(move |tasks, rays| sender.add(tasks, rays));
+            let outcome = bench.run(&tasks, &progress);
             // The loop is gone only when the worker is.
             let _ = finished.blocking_send(Finish::Done { part, outcome });
         });
@@ -329,6 +334,13 @@ impl Worker {
                 to_say.push(Say::Results(results));
             }
         }
+    }
+}
+
+impl Drop for Worker {
+    /// Nobody takes the results any more: tasks are told to stop.
+    fn drop(&mut self) {
+        self.leases.values().flat_map(|part| &part.tasks).for_each(|(_, flag)| flag.cancel());
     }
 }
 

@@ -5,7 +5,9 @@ mod farm;
 mod tools;
 
 pub(crate) use bake::BakeArgs;
-pub(crate) use farm::{CancelArgs, FarmAddress, FetchArgs, LsArgs, ServeArgs, SubmitArgs, WatchArgs, WorkerArgs};
+pub(crate) use farm::{
+    CancelArgs, FarmAddress, FetchArgs, LsArgs, RoleChoice, ServeArgs, SubmitArgs, WatchArgs, WorkerArgs,
+};
 pub(crate) use tools::{CheckArgs, CompareArgs, ExampleArgs, ProbeArgs, ViewArgs};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};

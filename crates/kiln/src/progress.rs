@@ -58,7 +58,7 @@ impl Progress {
         self.finish();
         last.ok_or(ClientError::Malformed {
             action: "watch the bake",
-            source: kiln_proto::FieldError::missing("snapshot"),
+            source: kiln_proto::FieldError::new("snapshot", "is missing"),
         })
     }
 

@@ -99,6 +99,21 @@ impl Dispatcher {
         self.jobs.get_mut(&id).map(|job| job.done(node, result)).unwrap_or_default()
     }
 
+    /// The store has lost an artefact that a task needs. What made it is pure, and is run again.
+    pub(super) fn restart(&mut self, id: JobId, lost: Digest) {
+        let Some(job) = self.jobs.get_mut(&id) else { return };
+        if !job.restart() {
+            return;
+        }
+        tracing::warn!(bake = %id, artefact = %lost, "an artefact is gone; what made it is run again");
+        self.feed(Event::JobFinished(id));
+        let orphans = self.flights.leave(id);
+        self.queue_again(orphans);
+        self.enroll(id);
+        let steps = self.jobs.get_mut(&id).map(Job::no_answer).unwrap_or_default();
+        self.walk(id, steps);
+    }
+
     pub(super) fn answered(&mut self, id: JobId, found: Option<Box<(Answer, Baked)>>) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
         let Some(found) = found else {

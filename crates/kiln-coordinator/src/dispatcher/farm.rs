@@ -5,6 +5,7 @@ use super::{
     bakes::page_size_of,
     registry::{Failure, Hello},
 };
+use crate::keeper::Op;
 use kiln_proto::{FieldError, PROTOCOL, limits, required, v1};
 use kiln_schedule::{Event, HeldLease, LeaseId, ReturnReason, SetAsideReason, WorkerId};
 use tonic::Status;
@@ -68,6 +69,9 @@ impl Dispatcher {
     fn failure(&mut self, worker: WorkerId, failure: Failure) {
         let HeldLease { lease, epoch } = failure.lease;
         if let Some(task) = self.flights.find(failure.task, failure.key) {
+            if let (Some(digest), Some(entry)) = (failure.missing, self.flights.get(task)) {
+                self.keeper.send(Op::Recheck { job: entry.job, digest });
+            }
             self.task_failed(worker, lease, epoch, task, failure.reason, failure.permanent);
         }
     }

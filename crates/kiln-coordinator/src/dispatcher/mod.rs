@@ -252,6 +252,7 @@ impl Dispatcher {
             Stored::Ended { job, outcome } => self.ended(job, outcome),
             Stored::Answer { job, found } => self.answered(job, found),
             Stored::LookedUp { job, found } => self.looked_up(job, found),
+            Stored::Lost { job, digest } => self.restart(job, digest),
             Stored::Graph { job, graph } => self.graph_read(job, graph),
             Stored::Baked { job, digest, baked } => self.baked_read(job, digest, baked),
             Stored::Solutions { job, outcome } => self.solutions_stored(job, outcome),

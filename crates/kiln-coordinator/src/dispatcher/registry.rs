@@ -2,7 +2,7 @@
 
 use super::Outbox;
 use crate::{keeper::Arrival, lanes::Offer};
-use kiln_core::{JobId, TaskKind};
+use kiln_core::{Digest, JobId, TaskKind};
 use kiln_proto::{FieldError, PROTOCOL, PROTOCOL_MIN, digest, limits, required, status, v1};
 use kiln_schedule::{Capabilities, HeldLease, LeaseId, Roles, TaskId, WorkerId};
 use std::collections::{BTreeMap, BTreeSet};
@@ -328,6 +328,8 @@ pub(super) struct Failure {
     pub(super) key: kiln_core::TaskKey,
     pub(super) reason: String,
     pub(super) permanent: bool,
+    /// An artefact that the task needs and the worker could not get.
+    pub(super) missing: Option<Digest>,
 }
 
 impl TryFrom<v1::TaskFailed> for Failure {
@@ -336,12 +338,14 @@ impl TryFrom<v1::TaskFailed> for Failure {
     fn try_from(failed: v1::TaskFailed) -> Result<Self, FieldError> {
         let held = required("lease", failed.lease)?;
         let permanent = failed.kind() == v1::TaskFailureKind::Refused;
+        let missing = (!failed.missing.is_empty()).then(|| digest("missing", &failed.missing)).transpose()?;
         Ok(Self {
             lease: HeldLease { lease: LeaseId(held.lease_id), epoch: held.epoch },
             task: TaskId(failed.task_id),
             key: kiln_core::TaskKey(digest("key", &failed.key)?),
             reason: limits::cut(&failed.message, limits::FAILURE_TEXT_BYTES).to_owned(),
             permanent,
+            missing,
         })
     }
 }

@@ -16,6 +16,9 @@ use kiln_proto::v1;
 use kiln_schedule::Requirements;
 use std::sync::Arc;
 
+/// Times that a job begins anew because the store lost something.
+const RESTARTS: u32 = 3;
+
 /// A task's place in its job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Node {
@@ -93,6 +96,7 @@ pub(crate) struct Job {
     pub(crate) phase: Phase,
     pub(crate) progress: Progress,
     pub(crate) warnings: Vec<v1::Warning>,
+    restarts: u32,
     pub(crate) events: Arc<EventLog>,
 }
 
@@ -106,6 +110,7 @@ impl Job {
             phase: Phase::Waiting(Waiting::default()),
             progress: Progress::default(),
             warnings: Vec::new(),
+            restarts: 0,
             events: Arc::new(events),
         }
     }
@@ -121,6 +126,18 @@ impl Job {
         self.lane = Some(lane);
         self.phase = Phase::Answering;
         Step::LookUpAnswer(key)
+    }
+
+    /// Something that finished tasks had stored is gone: the job goes through all of them again, finds what is
+    /// still there, and makes anew what is not. Not for ever: false after the last time.
+    pub(crate) fn restart(&mut self) -> bool {
+        if self.restarts == RESTARTS || self.is_over() || matches!(self.phase, Phase::Waiting(_)) {
+            return false;
+        }
+        self.restarts += 1;
+        self.progress = Progress::default();
+        self.phase = Phase::Answering;
+        true
     }
 
     /// The whole answer is not known.

@@ -71,14 +71,15 @@ impl Assigner<'_, '_> {
     /// Finds the meshes that no node uses but for baked ones: the first of these may change the mesh itself.
     fn find_free_meshes(&mut self, by_node: &BTreeMap<u32, Vec<&Target<'_>>>) -> Result<(), SceneError> {
         for (index, node) in self.document.list("nodes")?.iter().enumerate() {
-            let Some(mesh) = node.get("mesh") else { continue };
+            // A node outside the scene may refer to nothing: import didn't look at it, and it stays as it is.
+            let Some(mesh) = node.get("mesh").and_then(|mesh| mesh.index().ok()) else { continue };
             let baked = by_node.get(&(index as u32)).map_or(0, Vec::len);
             let wanted = if node.extension(EXTENSION).is_some() && baked > 0 {
                 GpuInstances::read(self.document, &node, limits::INSTANCES)?.map_or(1, |instances| instances.count)
             } else {
                 1
             };
-            let all_baked = self.free.entry(mesh.index()?).or_insert(true);
+            let all_baked = self.free.entry(mesh).or_insert(true);
             *all_baked &= baked == wanted;
         }
         Ok(())

@@ -17,7 +17,6 @@ use crate::{
     document::{Document, read_level},
     findings::{Finding, Findings},
     glb::{Glb, GlbError},
-    json::Item,
     limits,
 };
 use assign::assign;
@@ -83,9 +82,7 @@ pub fn export(request: &ExportRequest<'_>) -> Result<Exported, SceneError> {
     let mut binary = Binary::merge(&document, &mut root)?;
     assign(&document, request.level, &targets, &mut root, &mut binary, &mut findings)?;
     record(request, &mut root, &mut findings);
-    let images = document.list("images")?;
-    let external = images.iter().filter(|image| image.get("uri").is_some_and(|uri| is_external(&uri))).count();
-    findings.add(Finding::ExternalImages, request.level_name, external as u64);
+    findings.add(Finding::ExternalImages, request.level_name, external_image_count(&document));
     let bytes = binary.finish(&mut root);
     let json = serde_json::to_vec(&root).map_err(|error| document.root().invalid(format!("as JSON: {error}")))?;
     let glb = Glb { json: &json, bin: bytes.as_deref(), other: document.other_chunks.clone(), bytes_after_end: 0 };
@@ -101,8 +98,11 @@ fn too_long(document: &Document<'_>, error: &GlbError) -> SceneError {
     }
 }
 
-fn is_external(uri: &Item<'_>) -> bool {
-    uri.string().is_ok_and(|uri| !uri.starts_with("data:"))
+/// Images in files of their own, which the output goes on to refer to.
+fn external_image_count(document: &Document<'_>) -> u64 {
+    let images = document.root.get("images").and_then(Value::as_array).into_iter().flatten();
+    let uris = images.filter_map(|image| image.get("uri")?.as_str());
+    uris.filter(|uri| !uri.starts_with("data:")).count() as u64
 }
 
 /// Checks that the values fit the level, and the level the source; in the order of the level's instances.

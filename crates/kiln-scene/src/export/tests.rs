@@ -318,3 +318,12 @@ fn golden_export() {
     glb[at..at + 64].fill(b'0');
     assert_eq!(Digest::of(&glb).to_string(), "8a61fe62b009bdbbfb18ff6ec7a79017bc2d63e3a12c2c2a74b330f8dc7b4b64");
 }
+
+#[test]
+fn defects_outside_the_scene_do_not_stop_an_export() {
+    let mut fixture = Fixture::square();
+    fixture.push("nodes", json!({ "mesh": "none" }));
+    fixture.json["images"] = json!({});
+    let baked = bake(&fixture, &default());
+    survives(&fixture.json, &baked.json, "");
+}

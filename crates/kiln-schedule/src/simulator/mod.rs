@@ -3,11 +3,12 @@
 //! state is checked, and at the end every job must be over or say why not.
 //!
 //! A failing seed is printed; `KILN_SIM_SEED=n cargo test -p kiln-schedule simulator` runs that one alone, and tells
-//! the story of it.
+//! the story of it. `KILN_SIM_SEEDS=n` runs that many instead of 300.
 
 mod check;
 mod farm;
 mod fleet;
+mod hands;
 
 pub(crate) use check::{check, check_no_idle_hands};
 
@@ -58,8 +59,9 @@ fn many_farms_go_well() {
         println!("{:?}", run(seed.parse().expect("KILN_SIM_SEED is a number"), true));
         return;
     }
+    let seeds = std::env::var("KILN_SIM_SEEDS").map_or(300, |count| count.parse().expect("KILN_SIM_SEEDS is a number"));
     let mut total = Summary::default();
-    for seed in 0..300 {
+    for seed in 0..seeds {
         match catch_unwind(AssertUnwindSafe(|| run(seed, false))) {
             Ok(summary) => total.add(&summary),
             Err(_) => panic!("seed {seed} fails: KILN_SIM_SEED={seed} cargo test -p kiln-schedule simulator"),

@@ -2,7 +2,7 @@
 
 #![expect(dead_code, reason = "each test program uses a part")]
 
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec3, Vec3};
 use kiln_core::{Class, FaceGroup, FaceMoments, HalfMoments, Mesh, Solution, SolveSettings};
 use kiln_solve::{SolveInput, SolverParams, solve_with};
 
@@ -62,7 +62,7 @@ pub(crate) struct Sample {
 
 /// The samples of a face, uniform, keyed by its corners in any order.
 pub(crate) fn samples(mesh: &Mesh, face: usize, count: u64) -> impl Iterator<Item = Sample> {
-    let corners = mesh.corners(face).map(|c| c.as_dvec3());
+    let corners = mesh.corners(face).map(Vec3::as_dvec3);
     let key = corners.iter().map(|c| c.to_array().map(f64::to_bits).iter().fold(7, |k: u64, b| k.wrapping_mul(31) ^ b));
     let key = key.fold(0, |sum: u64, k| sum.wrapping_add(k.wrapping_mul(k | 1)));
     let mut order = [0, 1, 2];
@@ -99,7 +99,7 @@ pub(crate) fn moments(mesh: &Mesh, count: u64, f: impl Fn(&Sample) -> Option<f64
 pub(crate) fn quadrature(mesh: &Mesh, f: impl Fn(DVec3) -> f64) -> FaceMoments {
     let mut moments = FaceMoments::new(1);
     for face in 0..mesh.faces.len() {
-        let corners = mesh.corners(face).map(|c| c.as_dvec3());
+        let corners = mesh.corners(face).map(Vec3::as_dvec3);
         let mut half = HalfMoments::default();
         for phi in [[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]] {
             half.add(phi, &[f(corners.iter().zip(phi).map(|(c, p)| *c * p).sum())]);
@@ -122,7 +122,8 @@ pub(crate) fn solve_at(
     world_from_object: DAffine3,
     params: &SolverParams,
 ) -> Solution {
-    let solution = solve_with(&SolveInput { mesh, world_from_object, moments, settings }, params).unwrap();
+    let solution = solve_with(&SolveInput { mesh, world_from_object, moments, settings }, params)
+        .expect("the shapes fit together");
     assert_eq!(solution.values.len(), mesh.positions.len() * moments.channel_count());
     assert!(solution.values.iter().all(|v| (0.0..=1.0).contains(v)), "{:?}", solution.values);
     solution

@@ -6,7 +6,10 @@
 
 use super::{
     Fence, JournalEvent,
-    segment::{HEADER, MAX_PAYLOAD, Newer, Payload, Scan, SegmentHeader, SegmentKind, VERSION, encode_append, encode_header, scan},
+    segment::{
+        HEADER, MAX_PAYLOAD, Newer, Payload, Scan, SegmentHeader, SegmentKind, VERSION, encode_append, encode_header,
+        scan,
+    },
 };
 use crate::{
     StoreError,

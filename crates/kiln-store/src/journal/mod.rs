@@ -57,7 +57,8 @@ impl Journal {
         let history = history::read(&layout.journal())?;
         if let Some((path, bytes)) = &history.torn {
             tracing::info!(path = %path.display(), bytes, "an interrupted append is cut off the journal");
-            let cut = || File::options().write(true).open(path).and_then(|file| file.set_len(*bytes).and(file.sync_all()));
+            let cut =
+                || File::options().write(true).open(path).and_then(|file| file.set_len(*bytes).and(file.sync_all()));
             cut().map_err(StoreError::io("cut", path))?;
         }
         let old = history.bytes > COMPACT_BYTES || history.files.len() > COMPACT_FILES;

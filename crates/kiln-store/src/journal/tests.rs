@@ -186,8 +186,9 @@ fn the_short_form_says_the_same() {
 #[test]
 fn opening_shortens_a_long_journal() {
     let folder = tempfile::tempdir().unwrap();
-    let journal = open(folder.path());
-    for job in 0..200 {
+    let small = OpenOptions { journal_segment_bytes: 300, fault: None, ..OpenOptions::default() };
+    let journal = open_with(folder.path(), small).unwrap();
+    for job in 0..20 {
         journal.append(Fence(2), &[submitted(job)]).unwrap();
         journal.append(Fence(2), &[JournalEvent::JobForgotten(JobId(job))]).unwrap();
     }
@@ -207,8 +208,9 @@ fn opening_shortens_a_long_journal() {
 fn compaction_can_stop_anywhere() {
     for point in ["snapshot.write", "snapshot.rename", "snapshot.remove"] {
         let folder = tempfile::tempdir().unwrap();
-        let journal = open(folder.path());
-        (0..300).for_each(|job| journal.append(Fence(1), &[submitted(job), finished(job)]).unwrap());
+        let small = OpenOptions { journal_segment_bytes: 100, fault: None, ..OpenOptions::default() };
+        let journal = open_with(folder.path(), small).unwrap();
+        (0..12).for_each(|job| journal.append(Fence(1), &[submitted(job), finished(job)]).unwrap());
         let written = events(&journal);
         drop(journal);
         let fault = FaultPoint::parse(&format!("{point}=enospc"));
@@ -244,9 +246,13 @@ proptest! {
     ) {
         let folder = tempfile::tempdir().unwrap();
         let journal = open(folder.path());
-        for job in 0..30 {
-            journal.append(Fence(1), &[submitted(job)]).unwrap();
-        }
+        thread::scope(|scope| {
+            // At once, so that they share their syncs.
+            for job in 0..30 {
+                let journal = &journal;
+                scope.spawn(move || journal.append(Fence(1), &[submitted(job)]).unwrap());
+            }
+        });
         let written = events(&journal);
         drop(journal);
         for (file, at, how) in &hits {

@@ -63,9 +63,12 @@ impl LoadedLevel {
     /// The scene and a tracer over it, built once: one BVH for each distinct mesh.
     pub fn tracer(&self, backend: &Backend) -> Result<&(Arc<Scene>, Arc<dyn Tracer>), TaskError> {
         let build = || {
-            let scene = Arc::new(self.build_scene());
-            let tracer = backend.tracer(&scene).map_err(|error| error.to_string())?;
-            Ok((scene, tracer))
+            off_the_pool(|| {
+                let scene = Arc::new(self.build_scene());
+                let tracer = backend.tracer(&scene).map_err(|error| error.to_string())?;
+                Ok((scene, tracer))
+            })
+            .unwrap_or_else(|| Err("building the level's BVHs panicked; this is a bug in Kiln".to_owned()))
         };
         self.tracer.get_or_init(build).as_ref().map_err(|reason| TaskError::Failed { reason: reason.clone() })
     }
@@ -123,6 +126,12 @@ pub fn ground_plane(level: &Level) -> Option<Mesh> {
     })
 }
 
+/// Runs what other tasks wait for under a lock on a thread of its own; `None` if it panics. On a thread of the pool, a
+/// parallel loop inside would take up another task while it waits, which would wait for the lock of its own thread.
+fn off_the_pool<T: Send>(work: impl FnOnce() -> T + Send) -> Option<T> {
+    std::thread::scope(|scope| scope.spawn(work).join().ok())
+}
+
 type Slot = Arc<OnceLock<Arc<LoadedLevel>>>;
 
 /// The levels that tasks have asked for of late.
@@ -140,7 +149,8 @@ impl LevelCache {
         if let Some(level) = slot.get() {
             return Ok(Arc::clone(level));
         }
-        let level = Arc::new(LoadedLevel::load(digest, artefacts)?);
+        let panicked = || TaskError::Failed { reason: "loading the level panicked; this is a bug in Kiln".to_owned() };
+        let level = Arc::new(off_the_pool(|| LoadedLevel::load(digest, artefacts)).ok_or_else(panicked)??);
         Ok(Arc::clone(slot.get_or_init(|| level)))
     }
 

@@ -1,1 +1,0 @@
-//! The rules of scheduling, one test for each.

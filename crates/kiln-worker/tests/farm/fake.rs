@@ -1,0 +1,268 @@
+//! An executor that bakes nothing, but obeys every rule: pure, deterministic, with results of the right size. The
+//! "level" is a line of text: `instances pieces salt`, or `refuse WHY`.
+
+use kiln_core::{
+    BakeSummary, Baked, Bounds, Digest, DigestBuilder, ExportSpec, FaceMoments, HalfMoments, Kernel, Lane, Level,
+    LevelCounts, Mesh, MeshEntry, PlanSpec, Sampling, Solution, SolveSettings, SolveSummary, SolveTask, SourceManifest,
+    TaskGraph, TaskKey, TaskKind, TaskSpec, TraceSummary, TraceTask, Warning, codec,
+};
+use kiln_worker::{Artefacts, CancelFlag, Executor, Lanes, TaskError, TaskOutput};
+use std::{
+    collections::BTreeMap,
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, AtomicUsize, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+/// Vertices of the one mesh.
+const VERTICES: u32 = 3;
+
+/// What a test sees of the executors, and does to them.
+#[derive(Default)]
+pub struct Control {
+    ran: Mutex<BTreeMap<TaskKind, Vec<TaskSpec>>>,
+    /// Trace tasks that may still run; the others wait.
+    allowed: AtomicUsize,
+    gated: AtomicBool,
+    /// Trace tasks that wait.
+    pub waiting: AtomicUsize,
+    /// Tasks that were told to stop while they waited.
+    pub cancelled: AtomicUsize,
+    /// The kind that fails, and how.
+    pub fault: Mutex<Option<(TaskKind, Fault)>>,
+}
+
+/// How a task fails.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Fault {
+    Fails,
+    Panics,
+    /// Gives a result that makes no sense.
+    Lies,
+}
+
+impl Control {
+    /// Lets only so many trace tasks run, until [`Self::open`].
+    pub fn gate(&self, allowed: usize) {
+        self.allowed.store(allowed, Ordering::SeqCst);
+        self.gated.store(true, Ordering::SeqCst);
+    }
+
+    pub fn open(&self) {
+        self.gated.store(false, Ordering::SeqCst);
+    }
+
+    /// How often a kind was run to a result.
+    pub fn runs(&self, kind: TaskKind) -> usize {
+        self.ran.lock().unwrap().get(&kind).map_or(0, Vec::len)
+    }
+
+    /// Waits until something holds.
+    pub async fn until(&self, what: &str, holds: impl Fn(&Self) -> bool) {
+        let start = Instant::now();
+        while !holds(self) {
+            assert!(start.elapsed() < Duration::from_secs(10), "{what} does not come");
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
+
+    fn pass(&self, cancel: &CancelFlag) -> Result<(), TaskError> {
+        let take = |allowed: usize| allowed.checked_sub(1);
+        let is_in = || self.allowed.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take).is_ok();
+        if !self.gated.load(Ordering::SeqCst) || is_in() {
+            return Ok(());
+        }
+        self.waiting.fetch_add(1, Ordering::SeqCst);
+        let start = Instant::now();
+        while self.gated.load(Ordering::SeqCst) && start.elapsed() < Duration::from_secs(10) {
+            if cancel.is_cancelled() {
+                self.cancelled.fetch_add(1, Ordering::SeqCst);
+                return Err(TaskError::Cancelled);
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        Ok(())
+    }
+}
+
+/// Executes tasks under a test's control.
+pub struct Fake {
+    pub control: Arc<Control>,
+    pub trace_lanes: Vec<String>,
+}
+
+impl Executor for Fake {
+    fn lanes(&self) -> Lanes {
+        Lanes { trace: self.trace_lanes.clone(), solve: "any".into() }
+    }
+
+    fn run(
+        &self,
+        spec: &TaskSpec,
+        artefacts: &dyn Artefacts,
+        cancel: &CancelFlag,
+        progress: &dyn Fn(u64),
+    ) -> Result<TaskOutput, TaskError> {
+        if spec.kind() == TaskKind::Trace {
+            self.control.pass(cancel)?;
+        }
+        let fault = self.control.fault.lock().unwrap().filter(|(kind, _)| *kind == spec.kind()).map(|(_, how)| how);
+        match fault {
+            Some(Fault::Fails) => return Err(TaskError::Failed { reason: "the moon is full".into() }),
+            Some(Fault::Panics) => panic!("the moon is full"),
+            Some(Fault::Lies) | None => {}
+        }
+        let mut output = match spec {
+            TaskSpec::Import { source } => import(*source, artefacts)?,
+            TaskSpec::Plan(spec) => plan(spec, artefacts)?,
+            TaskSpec::Trace { level, task } => trace(*level, task, artefacts)?,
+            TaskSpec::Solve { moments, .. } => solve(moments, artefacts)?,
+            TaskSpec::Export(spec) => export(spec, artefacts)?,
+        };
+        progress(output.rays);
+        if fault == Some(Fault::Lies) {
+            output.result.pop();
+        }
+        self.control.ran.lock().unwrap().entry(spec.kind()).or_default().push(spec.clone());
+        Ok(output)
+    }
+}
+
+fn import(source: Digest, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
+    let source: SourceManifest = codec::decode("a source", &artefacts.get(source)?).unwrap();
+    let text = artefacts.get(source.files[0].digest)?;
+    let text = std::str::from_utf8(&text).unwrap();
+    if let Some(why) = text.strip_prefix("refuse ") {
+        return Err(TaskError::Refused { reason: format!("{}: {why}; mend the file", source.files[0].path) });
+    }
+    let mesh = codec::encode(&Mesh { positions: vec![[0.0; 3]; VERTICES as usize], ..Mesh::default() });
+    let entry = MeshEntry {
+        digest: Digest::of(&mesh),
+        // The plan reads the level's text from here.
+        name: text.to_owned(),
+        vertex_count: VERTICES,
+        face_count: 1,
+        bounds: Bounds::default(),
+        source_mesh: 0,
+        blocks: Vec::new(),
+    };
+    let level = Level {
+        origin_m: Default::default(),
+        bounds: Bounds::default(),
+        meshes: vec![entry],
+        instances: Vec::new(),
+        sampling: sampling(source.settings.seed),
+        solve: SolveSettings::default(),
+        output: source.settings.output,
+        warnings: vec![warning()],
+        counts: LevelCounts::default(),
+    };
+    Ok(TaskOutput { result: codec::encode(&level), attachments: vec![mesh], rays: 0 })
+}
+
+fn warning() -> Warning {
+    Warning { code: "fake".into(), subject: "level".into(), message: "this is no bake".into(), count: 1 }
+}
+
+fn sampling(seed: u64) -> Sampling {
+    Sampling {
+        kernel: Kernel::Obscurance { half_distances_m: vec![1.0, 2.0] },
+        rays_per_sample: 32,
+        mean_samples_per_face: 2.0,
+        density_per_m2: None,
+        min_samples_per_face: 2,
+        max_samples_per_face: 2,
+        back_face_limit: 0.25,
+        seed,
+        ground_plane_y_m: None,
+    }
+}
+
+fn level(digest: Digest, artefacts: &dyn Artefacts) -> Result<Level, TaskError> {
+    Ok(codec::decode("a level", &artefacts.get(digest)?)?)
+}
+
+fn key(kind: &str, salt: &str, lane: &Lane, index: usize) -> TaskKey {
+    let index = index as u64;
+    TaskKey(DigestBuilder::new(kind).text(salt).text(&lane.trace).text(&lane.solve).integer(index).finish())
+}
+
+fn plan(spec: &PlanSpec, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
+    let level = level(spec.level, artefacts)?;
+    let words: Vec<&str> = level.meshes[0].name.split(' ').collect();
+    let (instances, pieces): (u32, u32) = (words[0].parse().unwrap(), words[1].parse().unwrap());
+    let (mut trace, mut solve) = (Vec::new(), Vec::new());
+    for instance in 0..instances {
+        let first_trace = trace.len() as u32;
+        for piece in 0..pieces {
+            let key = key("trace", words[2], &spec.lane, trace.len());
+            trace.push(TraceTask {
+                key,
+                family: key.0,
+                instance,
+                first_face: piece,
+                face_count: 1,
+                density_per_m2: 1.0,
+                ray_count: 100,
+            });
+        }
+        let family = key("solve", words[2], &spec.lane, instance as usize).0;
+        solve.push(SolveTask { family, instance, first_trace, trace_count: pieces, vertex_count: VERTICES });
+    }
+    let graph = TaskGraph {
+        level: spec.level,
+        trace,
+        solve,
+        sampling: level.sampling,
+        counts: level.counts,
+        warnings: level.warnings,
+    };
+    Ok(TaskOutput { result: codec::encode(&graph), ..TaskOutput::default() })
+}
+
+fn trace(digest: Digest, task: &TraceTask, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
+    let level = level(digest, artefacts)?;
+    artefacts.get(level.meshes[0].digest)?;
+    let value = f64::from(task.key.0.0[0]) / 255.0;
+    let mut half = HalfMoments::default();
+    half.add([0.25, 0.25, 0.5], &[value, value]);
+    let mut moments = FaceMoments::new(2);
+    moments.push(&[half, half]);
+    moments.summary = TraceSummary { rays: 64, ..TraceSummary::default() };
+    Ok(TaskOutput { result: moments.to_bytes(), attachments: Vec::new(), rays: 64 })
+}
+
+fn solve(moments: &[Digest], artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
+    let mut sum = 0.0;
+    for bytes in artefacts.get_many(moments)? {
+        sum += FaceMoments::from_bytes(&bytes).unwrap().face(0)[0].f_squared[0] as f32;
+    }
+    let value = sum / moments.len().max(1) as f32;
+    let values = vec![value; 2 * VERTICES as usize];
+    let solution = Solution { channels: 2, values, unsampled: false, summary: SolveSummary::default() };
+    Ok(TaskOutput { result: codec::encode(&solution), ..TaskOutput::default() })
+}
+
+fn export(spec: &ExportSpec, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
+    let level = level(spec.level, artefacts)?;
+    let list: Vec<(u32, Digest)> = codec::decode("a list of solutions", &artefacts.get(spec.solutions)?)?;
+    let mut file = b"baked:".to_vec();
+    for (instance, solution) in list {
+        let solution: Solution = codec::decode("a solution", &artefacts.get(solution)?)?;
+        file.extend(instance.to_le_bytes());
+        solution.values.iter().for_each(|value| file.extend(value.to_le_bytes()));
+    }
+    let summary = BakeSummary {
+        level: spec.level,
+        counts: level.counts,
+        sampling: level.sampling,
+        trace: TraceSummary::default(),
+        error: Vec::new(),
+        meshes: Vec::new(),
+        warnings: level.warnings,
+    };
+    let baked = Baked { file: Digest::of(&file), bytes: file.len() as u64, summary };
+    Ok(TaskOutput { result: codec::encode(&baked), attachments: vec![file], rays: 0 })
+}
