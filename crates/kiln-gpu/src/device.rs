@@ -41,8 +41,8 @@ struct Faults(Mutex<Option<String>>);
 
 impl Faults {
     fn set(&self, reason: &str) {
-        let first_line = reason.lines().map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join("; ");
-        lock(&self.0).get_or_insert(first_line);
+        let one_line = reason.lines().map(str::trim).filter(|line| !line.is_empty()).collect::<Vec<_>>().join("; ");
+        lock(&self.0).get_or_insert(one_line);
     }
 }
 

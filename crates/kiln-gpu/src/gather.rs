@@ -87,52 +87,65 @@ impl From<&SurfaceSample> for SampleRecord {
 
 /// One call of `gather_cosine`.
 pub(crate) struct Gather<'a> {
-    pub(crate) tracer: &'a GpuTracer,
-    pub(crate) rates: &'a KernelRates,
-    pub(crate) rays_per_sample: u32,
+    tracer: &'a GpuTracer,
+    rates: &'a KernelRates,
+    cones: Cones,
 }
 
-impl Gather<'_> {
+impl<'a> Gather<'a> {
+    pub(crate) fn new(
+        tracer: &'a GpuTracer,
+        rates: &'a KernelRates,
+        rays_per_sample: u32,
+        sample_count: usize,
+    ) -> Self {
+        Self { tracer, rates, cones: Cones::new(rays_per_sample, sample_count) }
+    }
+
+    /// Sums over all samples, in as many dispatches as the budget of rays needs.
     pub(crate) fn run(&self, samples: &[SurfaceSample], sums: &mut [CosineSums]) -> Result<(), TraceError> {
         sums.fill(CosineSums::default());
-        let cones = Cones::new(self.rays_per_sample, samples.len());
-        let slices = cones.cell_count().div_ceil(CELLS_PER_SLICE);
-        let rays_per_slice = u64::from(self.rays_per_sample / slices);
-        let group = cones.samples_per_cone() as usize;
-        let mut rest = (samples, sums);
-        while !rest.0.is_empty() {
-            // As many whole groups as the budget has rays for; if not even one, then a part of its slices.
-            let budget = self.tracer.ray_budget();
-            let most = self.most_samples(group).min(budget / u64::from(self.rays_per_sample));
-            let count = (usize::try_from(most).unwrap_or(usize::MAX) / group).max(1) * group;
-            let count = count.min(rest.0.len());
-            let (now, later) = rest.0.split_at(count);
-            let (now_sums, later_sums) = std::mem::take(&mut rest.1).split_at_mut(count);
-            rest = (later, later_sums);
-            let records: Vec<SampleRecord> = now.iter().map(SampleRecord::from).collect();
-            let mut first_slice = 0;
-            while first_slice < slices {
-                let fitting = (self.tracer.ray_budget().min(MAX_SAMPLES * rays_per_slice)
-                    / (count as u64 * rays_per_slice))
-                    .max(1);
-                let slice_count = u32::try_from(fitting).unwrap_or(u32::MAX).min(slices - first_slice);
-                self.dispatch(&cones, &records, first_slice, slice_count, now_sums)?;
-                first_slice += slice_count;
-            }
+        let mut done = 0;
+        while done < samples.len() {
+            let end = samples.len().min(done + self.batch_samples());
+            self.run_batch(&samples[done..end], &mut sums[done..end])?;
+            done = end;
         }
         Ok(())
     }
 
-    /// What one dispatch may have by the number of its workgroups and the size of its buffers.
-    fn most_samples(&self, group: usize) -> u64 {
+    /// As many whole groups as the budget, the workgroups and the buffers of one dispatch have room for; at least one.
+    fn batch_samples(&self) -> usize {
+        let group = u64::from(self.cones.samples_per_cone());
         let workgroups = u64::from(self.tracer.gpu().limits().max_compute_workgroups_per_dimension);
-        (workgroups * group as u64).min(MAX_SAMPLES)
+        let rays_per_sample = u64::from(self.cones.cell_count() * self.cones.rays_per_cell());
+        let fitting = (workgroups * group).min(MAX_SAMPLES).min(self.tracer.ray_budget() / rays_per_sample);
+        usize::try_from((fitting / group).max(1) * group).unwrap_or(usize::MAX)
+    }
+
+    /// One dispatch, or several where not even one group has all its slices within the budget.
+    fn run_batch(&self, samples: &[SurfaceSample], sums: &mut [CosineSums]) -> Result<(), TraceError> {
+        let records: Vec<SampleRecord> = samples.iter().map(SampleRecord::from).collect();
+        let slices = self.cones.cell_count().div_ceil(CELLS_PER_SLICE);
+        let mut first_slice = 0;
+        while first_slice < slices {
+            let results = MAX_SAMPLES / samples.len() as u64;
+            let fitting = results.min(self.tracer.ray_budget() / (samples.len() as u64 * self.rays_per_slice()));
+            let slice_count = u32::try_from(fitting.max(1)).unwrap_or(u32::MAX).min(slices - first_slice);
+            self.dispatch(&records, first_slice, slice_count, sums)?;
+            first_slice += slice_count;
+        }
+        Ok(())
+    }
+
+    /// Rays of one sample in one slice.
+    fn rays_per_slice(&self) -> u64 {
+        u64::from(self.cones.cell_count().min(CELLS_PER_SLICE) * self.cones.rays_per_cell())
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "a dispatch has at most MAX_SAMPLES samples")]
     fn dispatch(
         &self,
-        cones: &Cones,
         records: &[SampleRecord],
         first_slice: u32,
         slice_count: u32,
@@ -140,13 +153,13 @@ impl Gather<'_> {
     ) -> Result<(), TraceError> {
         let params = GatherParams {
             kernel: Kernel::new(self.rates),
-            cones: *cones,
+            cones: self.cones,
             t_max: self.rates.t_max.min(MOST_DISTANCE),
             sample_count: records.len() as u32,
             cells_per_slice: CELLS_PER_SLICE,
             first_slice,
         };
-        let groups = (records.len() as u32).div_ceil(cones.samples_per_cone());
+        let groups = (records.len() as u32).div_ceil(self.cones.samples_per_cone());
         let kernel = self.tracer.kernel(Entry::Gather)?;
         let call = Call {
             kernel: &kernel,
@@ -156,8 +169,7 @@ impl Gather<'_> {
             output_bytes: u64::from(slice_count) * (records.len() * size_of::<SumsRecord>()) as u64,
             workgroups: [groups, slice_count],
         };
-        let cells = cones.cell_count().min(CELLS_PER_SLICE) * slice_count;
-        let rays = u64::from(cells * cones.rays_per_cell()) * records.len() as u64;
+        let rays = self.rays_per_slice() * u64::from(slice_count) * records.len() as u64;
         let elapsed = self.tracer.gpu().run(&call, |bytes| {
             for slice in bytes.chunks_exact(records.len() * size_of::<SumsRecord>()) {
                 for (sum, record) in sums.iter_mut().zip(slice.chunks_exact(size_of::<SumsRecord>())) {

@@ -91,7 +91,7 @@ impl Tracer for GpuTracer {
         );
         assert_eq!(samples.len(), sums.len(), "one sum for each sample");
         debug_assert!(samples.iter().all(|sample| sample.first_index.is_multiple_of(rays_per_sample)));
-        Gather { tracer: self, rates: kernel, rays_per_sample }.run(samples, sums)
+        Gather::new(self, kernel, rays_per_sample, samples.len()).run(samples, sums)
     }
 
     fn trace(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<(), TraceError> {

@@ -317,4 +317,3 @@ pub(crate) fn hollow_ball(radius: f32, n: u32) -> TestScene {
 pub(crate) fn square(name: &'static str, center: Vec3, u: Vec3, v: Vec3) -> TestScene {
     TestScene::new(name, &quad(center - u - v, center + u - v, center + u + v, center - u + v), vec![still(0)])
 }
-pub(crate) fn hill(n: u32) -> TestScene { TestScene::new("hill", &hills(n), vec![still(0)]) }

@@ -1,7 +1,7 @@
 //! Where a picture is taken from.
 
 use glam::{DVec3, Vec3};
-use kiln_scene::BakedScene;
+use kiln_scene::{BakedPart, BakedScene};
 
 /// A pinhole camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,25 +27,15 @@ impl Camera {
         Ok(Self { eye, target, fov_degrees })
     }
 
-    /// Looks down from a corner at what most of the detail is in: far scenery, which is large but coarse, stays
-    /// outside. The aspect is width over height.
+    /// Looks down from a corner at where there is something to see: faces count by how closed they are, so that open
+    /// ground and far scenery stay at the edge. The aspect is width over height.
     pub(crate) fn overview(scene: &BakedScene, aspect: f64) -> Self {
-        /// Fraction of the faces, by position, left out at either end of each axis.
-        const TRIM: f64 = 0.02;
-        let mut centers: Vec<DVec3> = scene
-            .parts
-            .iter()
-            .flat_map(|part| {
-                part.faces.iter().map(|f| f.map(|v| part.positions[v as usize]).iter().sum::<DVec3>() / 3.0)
-            })
-            .collect();
+        let faces = scene.parts.iter().flat_map(faces_of).filter(|(center, _)| center.is_finite());
+        let mut faces: Vec<(DVec3, f64)> = faces.collect();
         let (mut low, mut high) = (DVec3::ZERO, DVec3::ONE);
-        if !centers.is_empty() {
-            let cut = (centers.len() as f64 * TRIM) as usize;
+        if !faces.is_empty() {
             for axis in 0..3 {
-                centers.sort_unstable_by(|a, b| a[axis].total_cmp(&b[axis]));
-                low[axis] = centers[cut][axis];
-                high[axis] = centers[centers.len() - 1 - cut][axis];
+                (low[axis], high[axis]) = middle(&mut faces, axis);
             }
         }
         let fov_degrees: f64 = 40.0;
@@ -65,6 +55,41 @@ impl Camera {
         let scale = (0.5 * self.fov_degrees.to_radians()).tan();
         (forward + side * (x * scale * aspect) + up * (y * scale)).normalize().as_vec3()
     }
+}
+
+/// Centre of each face, and how much it counts.
+fn faces_of(part: &BakedPart) -> impl Iterator<Item = (DVec3, f64)> {
+    /// What a face that is quite open counts.
+    const OPEN: f64 = 0.02;
+    let openness = |v: u32| {
+        let all =
+            part.ao.get(v as usize * part.channels..).and_then(|rest| rest.get(..part.channels)).unwrap_or_default();
+        all.iter().map(|&ao| f64::from(ao)).sum::<f64>() / part.channels.max(1) as f64
+    };
+    part.faces.iter().map(move |face| {
+        let center = face.map(|v| part.positions[v as usize]).iter().sum::<DVec3>() / 3.0;
+        (center, (1.0 - face.map(openness).iter().sum::<f64>() / 3.0).max(0.0) + OPEN)
+    })
+}
+
+/// The range of an axis between the third and the last but third hundredth of what counts.
+fn middle(faces: &mut [(DVec3, f64)], axis: usize) -> (f64, f64) {
+    const TRIM: f64 = 0.03;
+    faces.sort_unstable_by(|a, b| a.0[axis].total_cmp(&b.0[axis]));
+    let total: f64 = faces.iter().map(|face| face.1).sum();
+    let mut before = 0.0;
+    let mut range = (faces[0].0[axis], faces[faces.len() - 1].0[axis]);
+    for (center, weight) in faces.iter() {
+        if before <= TRIM * total {
+            range.0 = center[axis];
+        }
+        before += weight;
+        if before >= (1.0 - TRIM) * total {
+            range.1 = center[axis];
+            break;
+        }
+    }
+    range
 }
 
 #[cfg(test)]
