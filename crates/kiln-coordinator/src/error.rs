@@ -22,6 +22,11 @@ pub enum ServeError {
     /// The store cannot promise anything any more.
     #[error("the coordinator stopped: {0}")]
     Store(Arc<StoreError>),
+    /// A bug ended the thread that talks to the store.
+    #[error(
+        "the thread that keeps the store has died by a bug; what was acknowledged is safe: start the coordinator again"
+    )]
+    Keeper,
     /// Connections could not be accepted.
     #[error("cannot serve: {0}")]
     Transport(#[from] tonic::transport::Error),

@@ -141,11 +141,14 @@ impl Keeper {
         Ok(Self { ops, thread })
     }
 
-    /// Sends an operation.
+    /// Whether the thread has died: a bug in the store.
+    pub(crate) fn is_dead(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    /// Sends an operation. Nothing comes back if the thread has died: see [`Self::is_dead`].
     pub(crate) fn send(&self, op: Op) {
-        if self.ops.send(op).is_err() {
-            tracing::error!("the thread that keeps the store has died");
-        }
+        let _ = self.ops.send(op);
     }
 
     /// Lets the thread finish what is queued, and waits for it. Blocks.
@@ -271,7 +274,7 @@ impl Batch {
         let failed = failed.map(|(delivery, _)| Stored::Delivered { delivery, outcome: Err(Arc::clone(error)) });
         self.answers.extend(failed);
         if !self.records.is_empty() {
-            // A record is an aid: the job may end without it, but not before the store can be written again.
+            // A record is an aid: the job may end without it, if the journal can still be written.
             tracing::warn!(%error, "could not keep the records of bakes that ended");
         }
     }

@@ -8,7 +8,7 @@ use crate::{
     services::{Artefacts, Bakes, Context, Farm, Workers},
 };
 use kiln_proto::{DESCRIPTORS, limits, v1};
-use kiln_store::{Store, StoreError};
+use kiln_store::Store;
 use std::{io, pin::pin, sync::Arc, time::Duration};
 use tokio::{
     io::{AsyncRead, AsyncWrite},
@@ -36,7 +36,7 @@ pub struct Coordinator {
     store: Arc<Store>,
     gate: Gate,
     handle: Handle,
-    dispatcher: JoinHandle<Result<(), Arc<StoreError>>>,
+    dispatcher: JoinHandle<Result<(), ServeError>>,
 }
 
 impl Coordinator {
@@ -91,7 +91,7 @@ impl Coordinator {
             Some(outcome) => outcome,
             None => dispatcher.await,
         };
-        outcome.map_err(ServeError::Dispatcher)?.map_err(ServeError::Store)?;
+        outcome.map_err(ServeError::Dispatcher)??;
         match served {
             Some(outcome) => outcome?,
             None => match tokio::time::timeout(GRACE, server).await {

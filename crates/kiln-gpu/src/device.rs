@@ -306,7 +306,8 @@ impl GpuDevice {
             self.faults.set(&reason);
             self.lost(reason)
         };
-        match receiver.try_recv() {
+        // Another thread that waits may have found the mapping done first; it then calls back in a moment.
+        match receiver.recv_timeout(SILENCE) {
             Ok(Ok(())) => {}
             Ok(Err(error)) => return Err(failed(format!("results could not be mapped: {error}"))),
             Err(_) => return Err(failed("results were not mapped in time".to_owned())),

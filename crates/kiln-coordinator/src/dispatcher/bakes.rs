@@ -13,6 +13,9 @@ use kiln_store::{JournalEvent, StoreError, SubmittedJob};
 use std::sync::Arc;
 use tonic::{Code, Status};
 
+/// Most bytes of a failure's message in a list.
+const BRIEF_BYTES: usize = 1024;
+
 impl Dispatcher {
     pub(super) fn asked(&mut self, ask: Ask) {
         // A caller that has gone away does not want its answer: sending fails, and that is all right.
@@ -97,8 +100,12 @@ impl Dispatcher {
             let _ = respond.send(Err(status::error(Code::AlreadyExists, status::REQUEST_ID_REUSED, message)));
             return;
         }
-        if let Some(job) = self.jobs.get(&id) {
+        if let Some(job) = self.jobs.get_mut(&id) {
             let _ = respond.send(Ok((view(job), true)));
+            // One that an earlier coordinator left is wanted now.
+            if std::mem::take(&mut job.dormant) {
+                self.wake(id);
+            }
             return;
         }
         // Not durable yet: the answer comes with that of the first.
@@ -204,7 +211,7 @@ impl Dispatcher {
         };
         let jobs = self.jobs.range(..JobId(before)).rev().map(|(_, job)| job);
         let mut jobs = jobs.filter(|job| !active_only || !matches!(job.phase, Phase::Ended(_))).peekable();
-        let bakes: Vec<v1::Bake> = jobs.by_ref().take(size).map(view).collect();
+        let bakes: Vec<v1::Bake> = jobs.by_ref().take(size).map(|job| brief(view(job))).collect();
         let last = bakes.last().map(|bake| bake.bake_id.clone()).unwrap_or_default();
         let next_page_token = jobs.peek().map(|_| last).unwrap_or_default();
         Ok(v1::ListBakesResponse { bakes, next_page_token })
@@ -241,6 +248,16 @@ impl Dispatcher {
 /// A job as it is now.
 pub(super) fn view(job: &Job) -> v1::Bake {
     job.view(job.events.last())
+}
+
+/// A job without the texts that can be long, for lists.
+pub(super) fn brief(mut bake: v1::Bake) -> v1::Bake {
+    bake.warnings.clear();
+    if let Some(failure) = &mut bake.failure {
+        failure.attempts.clear();
+        failure.message.truncate(limits::cut(&failure.message, BRIEF_BYTES).len());
+    }
+    bake
 }
 
 /// Tells watchers the whole state.

@@ -21,7 +21,7 @@ pub(crate) use registry::Hello;
 
 use crate::{
     config::{Config, Unfinished},
-    error::StartError,
+    error::{ServeError, StartError},
     flights::Flights,
     job::{Effort, Job, Phase},
     keeper::{Keeper, Op, Stored},
@@ -97,14 +97,14 @@ pub(crate) struct Dispatcher {
     farm: watch::Sender<Arc<v1::WatchFarmResponse>>,
     last_tick_ms: u64,
     /// The store cannot go on; the loop ends.
-    fatal: Option<Arc<StoreError>>,
+    fatal: Option<ServeError>,
 }
 
 /// A dispatcher that runs.
 #[derive(Debug)]
 pub(crate) struct Running {
     pub(crate) handle: Handle,
-    pub(crate) task: tokio::task::JoinHandle<Result<(), Arc<StoreError>>>,
+    pub(crate) task: tokio::task::JoinHandle<Result<(), ServeError>>,
 }
 
 /// Takes the journal over, replays it, and starts the loop. Blocks.
@@ -155,7 +155,7 @@ pub(crate) fn start(
 
 impl Dispatcher {
     /// The loop.
-    async fn run(mut self, mut messages: mpsc::Receiver<Message>) -> Result<(), Arc<StoreError>> {
+    async fn run(mut self, mut messages: mpsc::Receiver<Message>) -> Result<(), ServeError> {
         let mut pulse = tokio::time::interval(self.config.progress_interval.max(Duration::from_millis(10)));
         pulse.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         while self.fatal.is_none() {
@@ -196,6 +196,9 @@ impl Dispatcher {
             for stage in job.progress.take_changed() {
                 job.events.append(|_| v1::watch_bake_response::Event::Progress(stage));
             }
+        }
+        if self.keeper.is_dead() {
+            self.fatal.get_or_insert(ServeError::Keeper);
         }
         for worker in self.registry.take_cut_off() {
             self.feed(Event::WorkerDisconnected(worker));
@@ -264,7 +267,7 @@ impl Dispatcher {
     /// Notes an error after which nothing can be promised any more.
     fn note_fatal(&mut self, error: &Arc<StoreError>) {
         if matches!(**error, StoreError::Fenced { .. } | StoreError::JournalBroken { .. }) {
-            self.fatal.get_or_insert_with(|| Arc::clone(error));
+            self.fatal.get_or_insert_with(|| ServeError::Store(Arc::clone(error)));
         }
     }
 

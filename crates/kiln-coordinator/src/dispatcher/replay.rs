@@ -4,7 +4,7 @@ use super::{Dispatcher, Known};
 use crate::{
     error::StartError,
     events::EventLog,
-    job::{Ended, Job, Order, Outcome, Phase, Success, failure_key},
+    job::{Ended, Job, Order, Outcome, Phase, Success, failure_key, shown},
     keeper,
 };
 use kiln_core::{Baked, JobId, Lane};
@@ -109,22 +109,27 @@ impl Dispatcher {
             if let Some(ended) = remembered.ended {
                 job.lane = remembered.lane;
                 if let Outcome::Succeeded(success) = &ended.outcome {
-                    job.warnings = success.baked.summary.warnings.iter().map(Into::into).collect();
+                    job.warnings = shown(&success.baked.summary.warnings);
                 }
                 job.phase = Phase::Ended(ended);
                 self.jobs.insert(id, job);
                 continue;
             }
             job.dormant = !self.resumes();
+            job.lane = remembered.lane;
             self.jobs.insert(id, job);
             if self.resumes() {
-                self.enroll(id);
-                if let Some(lane) = remembered.lane {
-                    self.start_job(id, lane);
-                }
-            } else if let Some(job) = self.jobs.get_mut(&id) {
-                job.lane = remembered.lane;
+                self.wake(id);
             }
+        }
+    }
+
+    /// A job of an earlier coordinator goes on.
+    pub(super) fn wake(&mut self, id: JobId) {
+        self.enroll(id);
+        match self.jobs.get(&id).and_then(|job| job.lane.clone()) {
+            Some(lane) => self.start_job(id, lane),
+            None => self.start_waiting(),
         }
     }
 

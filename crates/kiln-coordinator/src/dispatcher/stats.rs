@@ -1,6 +1,9 @@
 //! Totals of the farm, and what dashboards are sent.
 
-use super::{Dispatcher, bakes::view};
+use super::{
+    Dispatcher,
+    bakes::{brief, view},
+};
 use crate::job::{Effort, Phase};
 use kiln_core::TaskKind;
 use kiln_proto::v1;
@@ -46,7 +49,7 @@ impl Totals {
 
     pub(super) fn ended(&mut self, bake: v1::Bake) {
         self.bakes_ended += 1;
-        self.lately.push_back((Instant::now(), bake));
+        self.lately.push_back((Instant::now(), brief(bake)));
         while self.lately.front().is_some_and(|(at, _)| at.elapsed() > SHOWN) {
             self.lately.pop_front();
         }
@@ -75,7 +78,7 @@ impl Dispatcher {
         if self.farm.receiver_count() <= 1 {
             return;
         }
-        let active = self.jobs.values().filter(|job| !matches!(job.phase, Phase::Ended(_))).map(view);
+        let active = self.jobs.values().filter(|job| !matches!(job.phase, Phase::Ended(_))).map(|job| brief(view(job)));
         let lately = self.totals.lately.iter().filter(|(at, _)| at.elapsed() <= SHOWN).map(|(_, bake)| bake.clone());
         let next = v1::WatchFarmResponse {
             number: self.farm.borrow().number + 1,

@@ -95,7 +95,7 @@ impl Dispatcher {
         let revoke = v1::Revoke {
             lease: Some(v1::LeaseRef { lease_id: lease.0, epoch }),
             task_ids: if ended { Vec::new() } else { tasks.iter().map(|task| task.0).collect() },
-            reason: format!("{why:?}"),
+            reason: reason(why).to_owned(),
         };
         self.registry.tell(worker, v1::session_response::Message::Revoke(revoke));
     }
@@ -246,6 +246,18 @@ impl Dispatcher {
         let entry = self.flights.get(task);
         let cost = entry.and_then(|entry| self.jobs.get(&entry.job)?.cost(entry.node));
         cost.unwrap_or(1).max(1) as f64
+    }
+}
+
+/// Why a lease is taken back, for people.
+fn reason(why: RevokeReason) -> &'static str {
+    match why {
+        RevokeReason::JobEnded => "its bake has ended",
+        RevokeReason::DoneElsewhere => "another worker was faster",
+        RevokeReason::Unknown => "the coordinator does not know it, or gave its tasks to others",
+        RevokeReason::TooLong => "it took longer than a lease may",
+        RevokeReason::SetAside => "the worker is set aside",
+        RevokeReason::Drained => "the worker's time to drain is over",
     }
 }
 

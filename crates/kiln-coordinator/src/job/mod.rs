@@ -11,10 +11,13 @@ pub(crate) use phase::{Baking, Ended, Ending, Exporting, GraphError, Outcome, Ph
 pub(crate) use progress::{Effort, Progress};
 
 use crate::{check::Expect, events::EventLog};
-use kiln_core::{Digest, ExportSpec, JobId, Lane, PlanSpec, TaskGraph, TaskKey, TaskKind, TaskSpec};
+use kiln_core::{Digest, ExportSpec, JobId, Lane, PlanSpec, TaskGraph, TaskKey, TaskKind, TaskSpec, Warning};
 use kiln_proto::v1;
 use kiln_schedule::Requirements;
 use std::sync::Arc;
+
+/// Warnings that clients are shown: they and their texts fit into a message.
+const WARNINGS: usize = 500;
 
 /// Times that a job begins anew because the store lost something.
 const RESTARTS: u32 = 3;
@@ -172,7 +175,7 @@ impl Job {
     /// The task graph was read.
     pub(crate) fn planned(&mut self, graph: TaskGraph) -> Result<Vec<Step>, GraphError> {
         let Phase::Planning(planning) = &self.phase else { return Ok(Vec::new()) };
-        self.warnings = graph.warnings.iter().map(Into::into).collect();
+        self.warnings = shown(&graph.warnings);
         let baking = Baking::new(planning.level, graph)?;
         let steps = match baking.is_solved() {
             true => vec![Step::StoreSolutions(Vec::new())],
@@ -197,7 +200,7 @@ impl Job {
     /// The whole answer, or the export's summary, was read.
     pub(crate) fn succeed(&mut self, success: Success) {
         // The export's summary repeats import's warnings and adds its own.
-        self.warnings = success.baked.summary.warnings.iter().map(Into::into).collect();
+        self.warnings = shown(&success.baked.summary.warnings);
         self.end(Outcome::Succeeded(Box::new(success)));
     }
 
@@ -281,6 +284,17 @@ fn trace(graph: &TaskGraph, piece: u32, lane: &Lane) -> Task {
         locality: graph.level,
         expect: Expect::Moments { faces: task.face_count as usize, channels: graph.sampling.kernel.channel_count() },
     }
+}
+
+/// Warnings as shown to clients: the first, and how many more there are. A report has them all.
+pub(crate) fn shown(warnings: &[Warning]) -> Vec<v1::Warning> {
+    let mut shown: Vec<v1::Warning> = warnings.iter().take(WARNINGS).map(Into::into).collect();
+    if warnings.len() > WARNINGS {
+        let count = (warnings.len() - WARNINGS) as u64;
+        let message = format!("{count} more warnings are in the report");
+        shown.push(v1::Warning { code: "more_warnings".into(), subject: String::new(), message, count });
+    }
+    shown
 }
 
 #[cfg(test)]

@@ -23,7 +23,6 @@ fn check(scene: &TestScene, origin: Vec3, normal: Vec3, expected: [f64; 2]) {
         let errors: Vec<f64> = sums.iter().map(|s| s.ao(channel) - expected).collect();
         let mean = errors.iter().sum::<f64>() / SCRAMBLES as f64;
         let rmse = (errors.iter().map(|e| e * e).sum::<f64>() / SCRAMBLES as f64).sqrt();
-        println!("{}, channel {channel}: mean error {mean:.2e}, RMSE {rmse:.2e}", scene.name);
         assert!(mean.abs() <= 5e-4 && rmse <= 3e-3, "{}: mean error {mean}, RMSE {rmse}", scene.name);
     }
 }

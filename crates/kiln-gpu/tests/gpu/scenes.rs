@@ -44,7 +44,7 @@ fn mesh(triangles: &[Triangle], double_sided: usize) -> Mesh {
         max_samples_per_face: None,
     };
     Mesh {
-        positions: triangles.iter().flatten().map(|p| p.to_array()).collect(),
+        positions: triangles.iter().flatten().map(Vec3::to_array).collect(),
         normals: vec![[0.0; 3]; 3 * triangles.len()],
         faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
         face_group: (0..triangles.len()).map(|i| u16::from(i >= double_sided)).collect(),
@@ -81,7 +81,7 @@ fn ball(radius: f32, n: u32) -> Vec<Triangle> {
     use std::f32::consts::{PI, TAU};
     let at = |i: u32, j: u32| {
         let (polar, around) = (PI * i as f32 / n as f32, TAU * (j % (2 * n)) as f32 / (2 * n) as f32);
-        let ring = if i % n == 0 { 0.0 } else { polar.sin() };
+        let ring = if i.is_multiple_of(n) { 0.0 } else { polar.sin() };
         Vec3::new(ring * around.cos(), ring * around.sin(), polar.cos()) * radius
     };
     let quads = (0..n).flat_map(|i| (0..2 * n).map(move |j| (i, j)));
@@ -316,4 +316,11 @@ pub(crate) fn hollow_ball(radius: f32, n: u32) -> TestScene {
 /// A square in the plane through `center` that `u` and `v` span; its front is on the side of `u × v`.
 pub(crate) fn square(name: &'static str, center: Vec3, u: Vec3, v: Vec3) -> TestScene {
     TestScene::new(name, &quad(center - u - v, center + u - v, center + u + v, center - u + v), vec![still(0)])
+}
+
+/// Instances in one place of a triangle that faces up (0) or down (1).
+pub(crate) fn mirrored_pair(order: [usize; 3]) -> TestScene {
+    let [up, down] = [[Vec3::ZERO, Vec3::X, Vec3::Y], [Vec3::ZERO, Vec3::Y, Vec3::X]];
+    let meshes = [up, down].map(|triangle| mesh(&[triangle], usize::MAX)).to_vec();
+    TestScene { name: "mirrored pair", meshes, objects: order.map(still).to_vec() }
 }
