@@ -8,7 +8,8 @@ pub enum Unfinished {
     /// They go on: a farm.
     #[default]
     Resume,
-    /// They stay as they are, and are listed: a process for one bake, which must not do other work.
+    /// They stay as they are, and are listed, until they are submitted again under the same request id: a process
+    /// for one bake, which must not do other work.
     Leave,
 }
 

@@ -1,9 +1,12 @@
 //! The API as a client meets it, without workers: artefacts, limits, tokens, health, reflection, over memory and TCP.
 
+#![expect(clippy::unwrap_used, reason = "a test ends at the first surprise")]
+
 use bytes::Bytes;
 use kiln_coordinator::{Config, Coordinator, InMemoryConnector, Token, in_memory, listen};
-use kiln_core::Digest;
+use kiln_core::{BakeSettings, Digest, SourceFile, SourceManifest};
 use kiln_proto::{
+    Submission,
     client::{Bearer, ClientError, Farm},
     limits, status, v1,
 };
@@ -93,12 +96,9 @@ async fn chunks_and_messages_have_limits() {
     let error = farm.artefacts().upload(parts()).await.unwrap_err();
     assert_eq!(error.code(), Code::InvalidArgument);
     assert!(error.message().starts_with("chunk.data: has 1048577 bytes"), "{error}");
-    // Far too large: refused where it is made, and not to be tried again.
+    // A client without scruples is refused before its message is read.
     let bytes = blob(3 << 20, 0);
     let parts = || tokio_stream::iter(vec![part(Part::Manifest(manifest(&[&bytes]))), chunk(0, bytes.clone())]);
-    let error = farm.artefacts().upload(parts()).await.unwrap_err();
-    assert!(!status::is_transient(&error), "{error:?}");
-    // A client without scruples is refused by the coordinator, before the message is read.
     let mut rude: ArtefactServiceClient<Channel> = ArtefactServiceClient::new(connector.channel());
     assert_eq!(rude.upload(parts()).await.unwrap_err().code(), Code::OutOfRange);
     let digests = vec![vec![0; 32]; limits::ARTEFACTS + 1];
@@ -107,6 +107,23 @@ async fn chunks_and_messages_have_limits() {
     let ranges = vec![v1::DownloadRange { digest: vec![1; 31], offset: 0, length: 0 }];
     let error = rude.download(v1::DownloadRequest { ranges }).await.unwrap_err();
     assert!(error.message().starts_with("ranges[0].digest"), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_request_that_is_too_large_is_not_sent() {
+    let (farm, _, _, _folder) = farm().await;
+    let file = |i: usize| SourceFile { path: format!("{i:0400}"), digest: Digest::default() };
+    let files = (0..limits::SOURCE_FILES).map(file).collect();
+    let submission = Submission {
+        request_id: "r".into(),
+        source: SourceManifest { files, sidecar: None, settings: BakeSettings::default() },
+        backend: v1::Backend::Auto,
+        priority: 0,
+        name: String::new(),
+        tenant: String::new(),
+    };
+    let error = farm.submit(&submission).await.unwrap_err();
+    assert!(matches!(error, ClientError::TooLarge { limit: limits::MESSAGE_BYTES, .. }), "{error}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

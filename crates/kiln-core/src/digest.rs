@@ -147,7 +147,7 @@ mod tests {
 
     #[test]
     fn parts_give_the_digest_of_the_whole() {
-        let bytes: Vec<u8> = (0..100_000u32).map(|i| (i * i) as u8).collect();
+        let bytes: Vec<u8> = (0..100_000u32).map(|i| (i.wrapping_mul(i) >> 3) as u8).collect();
         let mut stream = DigestStream::default();
         bytes.chunks(777).for_each(|part| stream.update(part));
         assert_eq!(stream.finish(), Digest::of(&bytes));

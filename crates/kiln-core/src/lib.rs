@@ -18,8 +18,8 @@ pub use geometry::{Bounds, Class, FaceGroup, Mesh};
 pub use level::{Instance, Level, LevelCounts, MeshEntry, VertexBlock, Warning};
 pub use moments::{FaceMoments, HalfMoments, MomentsError, TraceSummary};
 pub use settings::{
-    Attribute, BakeSettings, ColorMode, Kernel, MAX_CHANNELS, OutputSettings, Quality, Remap, Sampling, SolveSettings,
-    ValueFormat,
+    Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, Kernel, MAX_CHANNELS, OutputSettings, Quality, Remap,
+    Sampling, SolveSettings, ValueFormat,
 };
 pub use solution::{ComponentMethod, ErrorEstimate, Solution, SolveSummary};
 pub use task::{

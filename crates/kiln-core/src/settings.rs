@@ -5,6 +5,10 @@ use serde::{Deserialize, Serialize};
 /// The most half-distances that one bake computes: the components of a VEC4.
 pub const MAX_CHANNELS: usize = 4;
 
+/// Weight α of the edge regulariser where none is given: the least surface error over the levels in
+/// docs/benchmarks/regularization.md. The paper's 1 smooths contact shadows away.
+pub const DEFAULT_REGULARIZATION: f64 = 0.03;
+
 /// How much work a bake does, and so how small its error is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
 #[serde(rename_all = "lowercase")]
@@ -134,7 +138,7 @@ impl Default for BakeSettings {
             density_per_m2: None,
             max_samples_per_face: None,
             back_face_limit: 0.25,
-            regularization: 1.0,
+            regularization: DEFAULT_REGULARIZATION,
             ground_plane: false,
             drop_bad_faces: false,
             only: None,
@@ -180,7 +184,7 @@ pub struct SolveSettings {
 
 impl Default for SolveSettings {
     fn default() -> Self {
-        Self { regularization: 1.0, anchor: 1e-3, weld_degrees: 15.0 }
+        Self { regularization: DEFAULT_REGULARIZATION, anchor: 1e-3, weld_degrees: 15.0 }
     }
 }
 

@@ -19,9 +19,10 @@ pub const LEAF_BIT: u32 = 1 << 31;
 /// A child slot without a child; its box is inverted, so that no ray enters it.
 pub const NO_CHILD: u32 = u32::MAX;
 
-/// Entries of the traversal stack: three for each level of the deepest tree that is accepted.
-pub const MAX_STACK: usize = 96;
-const MAX_DEPTH: usize = MAX_STACK / 3;
+/// Entries of the traversal stack: each level of the deepest tree that is accepted leaves three behind, and the last
+/// puts four on it.
+pub const MAX_STACK: usize = 97;
+const MAX_DEPTH: usize = (MAX_STACK - 1) / 3;
 
 /// Coordinates beyond this could overflow the builder's areas.
 const MAX_EXTENT: f32 = 1e15;

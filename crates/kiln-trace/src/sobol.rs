@@ -22,17 +22,16 @@ fn laine_karras(mut x: u32, seed: u32) -> u32 {
     x ^ x.wrapping_mul(0x53a2_2864)
 }
 
-/// Second dimension of the Sobol sequence (the first is the reversal of the index's bits).
-fn sobol_second(mut index: u32) -> u32 {
-    let (mut result, mut direction) = (0, 1 << 31);
-    while index != 0 {
-        if index & 1 == 1 {
-            result ^= direction;
-        }
-        direction ^= direction >> 1;
-        index >>= 1;
-    }
-    result
+/// The reversed bits of the second dimension of the Sobol sequence (those of the first are the index itself). Its
+/// generator matrix is Pascal's triangle modulo 2, which takes the polynomial p(X) over GF(2), its coefficients the bits
+/// of the index, to p(X + 1): five halvings.
+fn sobol_second_reversed(index: u32) -> u32 {
+    let mut x = index;
+    x ^= x >> 16;
+    x ^= (x & 0xff00_ff00) >> 8;
+    x ^= (x & 0xf0f0_f0f0) >> 4;
+    x ^= (x & 0xcccc_cccc) >> 2;
+    x ^ ((x & 0xaaaa_aaaa) >> 1)
 }
 
 /// Point `index` of the scrambled sequence, each coordinate a multiple of 2⁻²⁴ in [0, 1). Any run of 2ᵏ points that
@@ -40,7 +39,7 @@ fn sobol_second(mut index: u32) -> u32 {
 #[expect(clippy::cast_precision_loss, reason = "24 bits fit")]
 pub fn sobol_point(index: u32, scramble: SobolScramble) -> [f32; 2] {
     let x = laine_karras(index, scramble.0[0]).reverse_bits();
-    let y = owen_scramble(sobol_second(index), scramble.0[1]);
+    let y = laine_karras(sobol_second_reversed(index), scramble.0[1]).reverse_bits();
     [x, y].map(|bits| (bits >> 8) as f32 * (1.0 / 16_777_216.0))
 }
 
@@ -74,6 +73,19 @@ mod tests {
             let other = x ^ (1 << bit);
             let differing = owen_scramble(x, seed) ^ owen_scramble(other, seed);
             prop_assert_eq!(differing.leading_zeros(), 31 - bit);
+        }
+    }
+
+    #[test]
+    fn the_second_dimension_is_that_of_the_direction_numbers() {
+        for index in (0..5000).chain([1 << 31, u32::MAX, 0x1234_5678]) {
+            // Sobol' 1967: v₁ = 1/2, each further direction number is the last one ⊕ itself halved.
+            let (mut expected, mut direction) = (0u32, 1u32 << 31);
+            for bit in 0..32 {
+                expected ^= if index >> bit & 1 == 1 { direction } else { 0 };
+                direction ^= direction >> 1;
+            }
+            assert_eq!(sobol_second_reversed(index).reverse_bits(), expected);
         }
     }
 

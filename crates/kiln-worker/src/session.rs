@@ -167,9 +167,8 @@ impl Worker {
         let outgoing_is_full = |_| Status::unavailable("the session is over");
         say.send(request(Say::Hello(self.hello()))).await.map_err(outgoing_is_full)?;
         let mut stream = farm.workers().session(ReceiverStream::new(outgoing)).await?.into_inner();
-        let welcome = match receive(&mut stream).await? {
-            Hear::Welcome(welcome) => welcome,
-            _ => return Err(Status::failed_precondition("the coordinator's first message is no welcome")),
+        let Hear::Welcome(welcome) = receive(&mut stream).await? else {
+            return Err(Status::failed_precondition("the coordinator's first message is no welcome"));
         };
         tracing::info!(worker = self.config.worker_id, "connected");
         let mut to_say: Vec<Say> = self.unsettled.values().cloned().map(Say::Results).collect();

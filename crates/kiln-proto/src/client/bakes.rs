@@ -1,9 +1,10 @@
 //! Submitting, watching and steering bakes.
 
 use super::{ClientError, Farm, backoff, retrying};
-use crate::{FieldError, Submission, required, status, v1};
+use crate::{FieldError, Submission, limits, required, status, v1};
 use bytes::Bytes;
 use kiln_core::Digest;
+use prost::Message;
 use std::collections::BTreeMap;
 use tonic::Streaming;
 
@@ -12,6 +13,10 @@ impl Farm {
     /// the id was known already.
     pub async fn submit(&self, submission: &Submission) -> Result<(v1::Bake, bool), ClientError> {
         let request = v1::SubmitBakeRequest::from(submission);
+        let (bytes, limit) = (request.encoded_len(), limits::MESSAGE_BYTES);
+        if bytes > limit {
+            return Err(ClientError::TooLarge { action: "submit the bake", bytes, limit });
+        }
         let call = || async { Ok(self.bakes().submit_bake(request.clone()).await?.into_inner()) };
         let response = retrying("submit the bake", call).await?;
         Ok((bake("submit the bake", response.bake)?, response.repeated))
@@ -99,7 +104,7 @@ impl Farm {
         let mut workers = Vec::new();
         let mut page_token = String::new();
         loop {
-            let request = v1::ListWorkersRequest { page_size: crate::limits::PAGE, page_token };
+            let request = v1::ListWorkersRequest { page_size: limits::PAGE, page_token };
             let call = || async { Ok(self.state().list_workers(request.clone()).await?.into_inner()) };
             let page = retrying("list the workers", call).await?;
             workers.extend(page.workers);

@@ -53,6 +53,18 @@ pub enum ClientError {
         /// Its words and details; see [`status`].
         status: Status,
     },
+    /// A request is larger than the farm takes; it is not sent.
+    #[error(
+        "the request to {action} has {bytes} bytes, and the farm takes at most {limit}; give the level fewer files or shorter paths"
+    )]
+    TooLarge {
+        /// What was tried.
+        action: &'static str,
+        /// Size of the request.
+        bytes: usize,
+        /// The most that is taken.
+        limit: usize,
+    },
     /// An artefact is not on the farm.
     #[error(
         "the farm does not have the artefact {digest}; the bake that made it may have been forgotten: submit it again"

@@ -46,7 +46,7 @@ fn golden_import() {
     let import = rich().import().unwrap();
     let digest = Digest::of(&codec::encode(&import.level));
     assert_eq!(import.level.instances.len(), 3);
-    assert_eq!(digest.to_string(), "5e20e4af030e31b9968691a79190f2c786778e61574e2fe7995aebb969c9ad2b");
+    assert_eq!(digest.to_string(), "d490d8bd8c0c4420637dd980b9835a8c0a02f328c160d18c04a2d0349b0bcca2");
 }
 
 proptest! {

@@ -21,22 +21,22 @@ const VERTICES: u32 = 3;
 
 /// What a test sees of the executors, and does to them.
 #[derive(Default)]
-pub struct Control {
+pub(crate) struct Control {
     ran: Mutex<BTreeMap<TaskKind, Vec<TaskSpec>>>,
     /// Trace tasks that may still run; the others wait.
     allowed: AtomicUsize,
     gated: AtomicBool,
     /// Trace tasks that wait.
-    pub waiting: AtomicUsize,
+    pub(crate) waiting: AtomicUsize,
     /// Tasks that were told to stop while they waited.
-    pub cancelled: AtomicUsize,
+    pub(crate) cancelled: AtomicUsize,
     /// The kind that fails, and how.
-    pub fault: Mutex<Option<(TaskKind, Fault)>>,
+    pub(crate) fault: Mutex<Option<(TaskKind, Fault)>>,
 }
 
 /// How a task fails.
 #[derive(Clone, Copy, PartialEq)]
-pub enum Fault {
+pub(crate) enum Fault {
     Fails,
     Panics,
     /// Gives a result that makes no sense.
@@ -45,22 +45,22 @@ pub enum Fault {
 
 impl Control {
     /// Lets only so many trace tasks run, until [`Self::open`].
-    pub fn gate(&self, allowed: usize) {
+    pub(crate) fn gate(&self, allowed: usize) {
         self.allowed.store(allowed, Ordering::SeqCst);
         self.gated.store(true, Ordering::SeqCst);
     }
 
-    pub fn open(&self) {
+    pub(crate) fn open(&self) {
         self.gated.store(false, Ordering::SeqCst);
     }
 
     /// How often a kind was run to a result.
-    pub fn runs(&self, kind: TaskKind) -> usize {
+    pub(crate) fn runs(&self, kind: TaskKind) -> usize {
         self.ran.lock().unwrap().get(&kind).map_or(0, Vec::len)
     }
 
     /// Waits until something holds.
-    pub async fn until(&self, what: &str, holds: impl Fn(&Self) -> bool) {
+    pub(crate) async fn until(&self, what: &str, holds: impl Fn(&Self) -> bool) {
         let start = Instant::now();
         while !holds(self) {
             assert!(start.elapsed() < Duration::from_secs(10), "{what} does not come");
@@ -88,9 +88,9 @@ impl Control {
 }
 
 /// Executes tasks under a test's control.
-pub struct Fake {
-    pub control: Arc<Control>,
-    pub trace_lanes: Vec<String>,
+pub(crate) struct Fake {
+    pub(crate) control: Arc<Control>,
+    pub(crate) trace_lanes: Vec<String>,
 }
 
 impl Executor for Fake {
@@ -144,13 +144,13 @@ fn import(source: Digest, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskE
         name: text.to_owned(),
         vertex_count: VERTICES,
         face_count: 1,
-        bounds: Bounds::default(),
+        bounds: Bounds::EMPTY,
         source_mesh: 0,
         blocks: Vec::new(),
     };
     let level = Level {
         origin_m: Default::default(),
-        bounds: Bounds::default(),
+        bounds: Bounds::EMPTY,
         meshes: vec![entry],
         instances: Vec::new(),
         sampling: sampling(source.settings.seed),

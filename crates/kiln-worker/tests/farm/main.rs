@@ -1,5 +1,7 @@
 //! The farm end to end, in memory: a coordinator, real worker sessions, and an executor that only pretends to bake.
 
+#![expect(clippy::unwrap_used, reason = "a test ends at the first surprise")]
+
 mod cut;
 mod fake;
 mod faults;
@@ -10,7 +12,7 @@ use fake::Control;
 use kiln_core::TaskKind;
 use kiln_proto::{client::BakeUpdate, v1};
 use kiln_worker::RemoteArtefacts;
-use setup::{TestFarm, reference, stage, submission};
+use setup::{TestFarm, config, reference, stage, submission};
 use std::sync::Arc;
 
 #[tokio::test(flavor = "multi_thread")]
@@ -96,7 +98,7 @@ async fn a_worker_that_leaves_hands_its_work_on() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_watcher_sees_everything_in_order() {
     let farm = TestFarm::start().await;
-    farm.control.gate(0);
+    farm.control.gate(2);
     let bake = farm.submit("r", "2 3 salt").await;
     assert_eq!(bake.state(), v1::BakeState::Submitted);
     let mut watch = farm.client().watch(&bake.bake_id);
@@ -104,6 +106,8 @@ async fn a_watcher_sees_everything_in_order() {
     assert_eq!(first.state(), v1::BakeState::Submitted);
     let _worker = farm.worker("a");
     farm.control.until("a trace task", |c| c.waiting.load(std::sync::atomic::Ordering::SeqCst) > 0).await;
+    // Long enough for what is done so far to be told.
+    tokio::time::sleep(2 * config().progress_interval).await;
     farm.control.open();
     let (mut states, mut progress, mut warnings) = (vec![], 0, 0);
     while let Some(update) = watch.next().await.unwrap() {

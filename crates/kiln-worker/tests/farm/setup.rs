@@ -23,17 +23,17 @@ use tempfile::TempDir;
 use tokio::{sync::oneshot, task::JoinHandle};
 
 /// A coordinator over a store in a temporary folder.
-pub struct TestFarm {
-    pub folder: Arc<TempDir>,
-    pub store: Arc<Store>,
-    pub connector: InMemoryConnector,
-    pub control: Arc<Control>,
+pub(crate) struct TestFarm {
+    pub(crate) folder: Arc<TempDir>,
+    pub(crate) store: Arc<Store>,
+    pub(crate) connector: InMemoryConnector,
+    pub(crate) control: Arc<Control>,
     stop: oneshot::Sender<()>,
     served: JoinHandle<Result<(), ServeError>>,
 }
 
 /// A config whose times suit tests.
-pub fn config() -> Config {
+pub(crate) fn config() -> Config {
     let scheduler = kiln_schedule::Config {
         reconnect_grace_ms: 300,
         return_delay_ms: 20,
@@ -46,7 +46,7 @@ pub fn config() -> Config {
 }
 
 impl TestFarm {
-    pub async fn start() -> Self {
+    pub(crate) async fn start() -> Self {
         Self::start_in(Arc::new(TempDir::new().unwrap()), config(), Arc::default()).await
     }
 
@@ -63,11 +63,11 @@ impl TestFarm {
     }
 
     /// Stops the coordinator, lets go of the store, and starts another on the same folder.
-    pub async fn restart(self) -> Self {
+    pub(crate) async fn restart(self) -> Self {
         self.restart_with(config()).await
     }
 
-    pub async fn restart_with(self, config: Config) -> Self {
+    pub(crate) async fn restart_with(self, config: Config) -> Self {
         let Self { folder, store, control, stop, served, .. } = self;
         drop(stop);
         served.await.unwrap().unwrap();
@@ -84,26 +84,26 @@ impl TestFarm {
         Self::start_in(folder, config, control).await
     }
 
-    pub async fn stop(self) {
+    pub(crate) async fn stop(self) {
         drop(self.stop);
         self.served.await.unwrap().unwrap();
     }
 
-    pub fn client(&self) -> Farm {
+    pub(crate) fn client(&self) -> Farm {
         Farm::over(self.connector.channel(), Bearer::default())
     }
 
     /// A worker with the coordinator's own store.
-    pub fn worker(&self, name: &str) -> TestWorker {
+    pub(crate) fn worker(&self, name: &str) -> TestWorker {
         self.worker_over(name, self.client(), Arc::new(LocalArtefacts(Arc::clone(&self.store))))
     }
 
-    pub fn worker_over(&self, name: &str, farm: Farm, artefacts: Arc<dyn Artefacts>) -> TestWorker {
+    pub(crate) fn worker_over(&self, name: &str, farm: Farm, artefacts: Arc<dyn Artefacts>) -> TestWorker {
         self.worker_with(name, farm, artefacts, Arc::clone(&self.control))
     }
 
     /// A worker under a control of its own.
-    pub fn worker_with(
+    pub(crate) fn worker_with(
         &self,
         name: &str,
         farm: Farm,
@@ -127,26 +127,26 @@ impl TestFarm {
     }
 
     /// Uploads a level and submits it.
-    pub async fn submit(&self, request_id: &str, level: &str) -> v1::Bake {
+    pub(crate) async fn submit(&self, request_id: &str, level: &str) -> v1::Bake {
         let (submission, files) = submission(request_id, level);
         self.client().submit_with_files(&submission, &files).await.unwrap().0
     }
 
     /// Submits a level and waits for its end.
-    pub async fn bake(&self, level: &str) -> v1::Bake {
+    pub(crate) async fn bake(&self, level: &str) -> v1::Bake {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         let id = format!("bake-{}", NEXT.fetch_add(1, Ordering::Relaxed));
         let bake = self.submit(&id, level).await;
         self.end(&bake.bake_id).await
     }
 
-    pub async fn end(&self, bake_id: &str) -> v1::Bake {
+    pub(crate) async fn end(&self, bake_id: &str) -> v1::Bake {
         let end = self.client().watch(bake_id).end();
         tokio::time::timeout(Duration::from_secs(20), end).await.expect("the bake does not end").unwrap()
     }
 
     /// The baked file.
-    pub async fn file(&self, bake: &v1::Bake) -> Bytes {
+    pub(crate) async fn file(&self, bake: &v1::Bake) -> Bytes {
         assert_eq!(bake.state(), v1::BakeState::Succeeded, "{:?}", bake.failure);
         let (_, file) = bake.result.as_ref().unwrap().digests().unwrap();
         self.client().download(file).await.unwrap()
@@ -154,7 +154,7 @@ impl TestFarm {
 }
 
 /// A submission of a level, and its files.
-pub fn submission(request_id: &str, level: &str) -> (Submission, BTreeMap<Digest, Bytes>) {
+pub(crate) fn submission(request_id: &str, level: &str) -> (Submission, BTreeMap<Digest, Bytes>) {
     let bytes = Bytes::from(level.to_owned());
     let digest = Digest::of(&bytes);
     let file = SourceFile { path: "level.txt".into(), digest };
@@ -170,32 +170,32 @@ pub fn submission(request_id: &str, level: &str) -> (Submission, BTreeMap<Digest
 }
 
 /// A worker that runs.
-pub struct TestWorker {
-    pub stop: oneshot::Sender<()>,
-    pub ran: JoinHandle<Result<(), WorkerError>>,
+pub(crate) struct TestWorker {
+    pub(crate) stop: oneshot::Sender<()>,
+    pub(crate) ran: JoinHandle<Result<(), WorkerError>>,
 }
 
 impl TestWorker {
     /// The worker is gone from one moment to the next.
-    pub fn lose(self) {
+    pub(crate) fn lose(self) {
         self.ran.abort();
     }
 
     /// The worker is told to leave.
-    pub async fn leave(self) -> Result<(), WorkerError> {
+    pub(crate) async fn leave(self) -> Result<(), WorkerError> {
         drop(self.stop);
         self.ran.await.unwrap()
     }
 }
 
 /// Total, done and cache hits of a kind.
-pub fn stage(bake: &v1::Bake, kind: TaskKind) -> (u64, u64, u64) {
+pub(crate) fn stage(bake: &v1::Bake, kind: TaskKind) -> (u64, u64, u64) {
     let stage = bake.stages.iter().find(|stage| TaskKind::try_from(stage.kind()) == Ok(kind));
     stage.map_or((0, 0, 0), |stage| (stage.total, stage.done, stage.cache_hits))
 }
 
 /// The result that every run of a level must give.
-pub async fn reference(level: &str) -> Bytes {
+pub(crate) async fn reference(level: &str) -> Bytes {
     let farm = TestFarm::start().await;
     let _worker = farm.worker("reference");
     let bake = farm.bake(level).await;

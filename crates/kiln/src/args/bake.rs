@@ -2,7 +2,10 @@
 
 use crate::failure::Failure;
 use clap::{Args, ValueEnum};
-use kiln_core::{Attribute, BakeSettings, ColorMode, MAX_CHANNELS, OutputSettings, Quality, Remap, ValueFormat};
+use kiln_core::{
+    Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, MAX_CHANNELS, OutputSettings, Quality, Remap,
+    ValueFormat,
+};
 use std::path::PathBuf;
 
 /// Bakes a level in this process; a second run resumes or answers at once.
@@ -64,7 +67,7 @@ pub(crate) struct SettingsArgs {
     #[arg(long, value_name = "F", default_value_t = 0.25)]
     pub(crate) back_face_limit: f64,
     /// Weight of the edge regulariser
-    #[arg(long, value_name = "ALPHA", default_value_t = 1.0)]
+    #[arg(long, value_name = "ALPHA", default_value_t = DEFAULT_REGULARIZATION)]
     pub(crate) regularization: f64,
     /// Add a plane under the level that occludes
     #[arg(long)]
