@@ -88,7 +88,7 @@ mod tests {
         let met = Verdict { name: "max_rmse", limit: 0.01, found: 0.009 };
         let over = Verdict { found: 0.011, ..met.clone() };
         let unknown = Verdict { found: f64::NAN, ..met.clone() };
-        assert_eq!(missed(&[met.clone()]), None);
+        assert_eq!(missed(std::slice::from_ref(&met)), None);
         assert!(missed(&[met, over.clone()]).unwrap().contains("max_rmse is 0.011"));
         assert!(missed(&[unknown]).is_some());
         let xml = junit("a<b>&\"c\".glb", 1.5, None, &[over]);

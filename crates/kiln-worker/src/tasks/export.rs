@@ -6,8 +6,7 @@ use super::{
 };
 use crate::{Artefacts, TaskError, TaskOutput};
 use kiln_core::{
-    BakeSummary, Baked, Digest, ErrorEstimate, ExportSpec, MeshSummary, Solution, SolveSummary, TraceSummary, Warning,
-    codec,
+    BakeSummary, Baked, Digest, ErrorEstimate, ExportSpec, MeshSummary, Solution, TraceSummary, Warning, codec,
 };
 use kiln_scene::{BakedInstance, ExportRequest};
 use kiln_solve::{LevelInstance, fill_unsampled};
@@ -96,7 +95,7 @@ fn summary(level: &LoadedLevel, indices: &[u32], solutions: &[Solution], warning
         counts: level.level.counts.clone(),
         sampling: level.level.sampling.clone(),
         trace,
-        error: level_error(solutions.iter().map(|s| &s.summary), level.level.sampling.kernel.channel_count()),
+        error: level_error(solutions, level.level.sampling.kernel.channel_count()),
         meshes: indices.iter().zip(solutions).map(mesh).collect(),
         warnings,
     }
@@ -104,11 +103,12 @@ fn summary(level: &LoadedLevel, indices: &[u32], solutions: &[Solution], warning
 
 /// Error over the level: instances weigh by their sampled area. The p99 is the mean of the instances', since their
 /// distributions are not kept.
-fn level_error<'s>(summaries: impl Iterator<Item = &'s SolveSummary> + Clone, channels: usize) -> Vec<ErrorEstimate> {
-    let area: f64 = summaries.clone().map(|s| s.sampled_area_m2).sum();
+fn level_error(solutions: &[Solution], channels: usize) -> Vec<ErrorEstimate> {
+    let summaries = || solutions.iter().map(|solution| &solution.summary);
+    let area: f64 = summaries().map(|s| s.sampled_area_m2).sum();
     let of = |channel: usize| {
         let mut total = ErrorEstimate::default();
-        for summary in summaries.clone() {
+        for summary in summaries() {
             let Some(error) = summary.error.get(channel) else { continue };
             let weight = if area > 0.0 { summary.sampled_area_m2 / area } else { 0.0 };
             total.rmse += weight * error.rmse * error.rmse;

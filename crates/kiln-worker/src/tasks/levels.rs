@@ -17,6 +17,9 @@ const LEVELS_KEPT: usize = 2;
 /// The ground plane reaches at most this far beyond the level, metres.
 const MAX_PLANE_REACH_M: f64 = 1e6;
 
+/// A scene and what traces it.
+pub type SceneTracer = (Arc<Scene>, Arc<dyn Tracer>);
+
 /// A level whose meshes are in memory. BVHs are built when the first trace task asks.
 pub struct LoadedLevel {
     /// The manifest.
@@ -25,7 +28,7 @@ pub struct LoadedLevel {
     pub digest: Digest,
     /// Its meshes.
     pub meshes: Vec<Arc<Mesh>>,
-    tracer: OnceLock<Result<(Arc<Scene>, Arc<dyn Tracer>), String>>,
+    tracer: OnceLock<Result<SceneTracer, String>>,
 }
 
 impl LoadedLevel {
@@ -61,7 +64,7 @@ impl LoadedLevel {
     }
 
     /// The scene and a tracer over it, built once: one BVH for each distinct mesh.
-    pub fn tracer(&self, backend: &Backend) -> Result<&(Arc<Scene>, Arc<dyn Tracer>), TaskError> {
+    pub fn tracer(&self, backend: &Backend) -> Result<&SceneTracer, TaskError> {
         let build = || {
             off_the_pool(|| {
                 let scene = Arc::new(self.build_scene());
@@ -132,38 +135,43 @@ fn off_the_pool<T: Send>(work: impl FnOnce() -> T + Send) -> Option<T> {
     std::thread::scope(|scope| scope.spawn(work).join().ok())
 }
 
-type Slot = Arc<OnceLock<Arc<LoadedLevel>>>;
+/// A level that is loaded, or is being loaded by who holds the lock.
+#[derive(Clone, Default)]
+struct Slot {
+    level: Arc<OnceLock<Arc<LoadedLevel>>>,
+    loading: Arc<Mutex<()>>,
+}
 
 /// The levels that tasks have asked for of late.
 #[derive(Default)]
 pub(super) struct LevelCache {
     /// Most recent last.
-    slots: Mutex<Vec<(Digest, Slot, Arc<Mutex<()>>)>>,
+    slots: Mutex<Vec<(Digest, Slot)>>,
 }
 
 impl LevelCache {
     /// The level, loaded by the first task that asks; the others wait for it.
     pub(super) fn get(&self, digest: Digest, artefacts: &dyn Artefacts) -> Result<Arc<LoadedLevel>, TaskError> {
-        let (slot, loading) = self.slot(digest);
-        let _loading = loading.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(level) = slot.get() {
+        let slot = self.slot(digest);
+        let _loading = slot.loading.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(level) = slot.level.get() {
             return Ok(Arc::clone(level));
         }
         let panicked = || TaskError::Failed { reason: "loading the level panicked; this is a bug in Kiln".to_owned() };
         let level = Arc::new(off_the_pool(|| LoadedLevel::load(digest, artefacts)).ok_or_else(panicked)??);
-        Ok(Arc::clone(slot.get_or_init(|| level)))
+        Ok(Arc::clone(slot.level.get_or_init(|| level)))
     }
 
-    fn slot(&self, digest: Digest) -> (Slot, Arc<Mutex<()>>) {
+    fn slot(&self, digest: Digest) -> Slot {
         let mut slots = self.slots.lock().unwrap_or_else(PoisonError::into_inner);
-        let entry = match slots.iter().position(|(d, ..)| *d == digest) {
+        let entry = match slots.iter().position(|(d, _)| *d == digest) {
             Some(at) => slots.remove(at),
-            None => (digest, Slot::default(), Arc::default()),
+            None => (digest, Slot::default()),
         };
         slots.push(entry.clone());
         if slots.len() > LEVELS_KEPT {
             slots.remove(0);
         }
-        (entry.1, entry.2)
+        entry.1
     }
 }

@@ -9,7 +9,7 @@ mod solve;
 mod trace;
 
 pub use backend::Backend;
-pub use levels::{LoadedLevel, ground_plane};
+pub use levels::{LoadedLevel, SceneTracer, ground_plane};
 
 use crate::{Artefacts, CancelFlag, Executor, Lanes, TaskError, TaskOutput};
 use kiln_core::{TaskSpec, codec::DecodeError};

@@ -66,7 +66,7 @@ pub(crate) struct ViewArgs {
     /// Where to write the picture
     #[arg(short, long, value_name = "P.png")]
     pub(crate) output: PathBuf,
-    /// Eye and target in metres, and the vertical field of view in degrees: X,Y,Z,TX,TY,TZ[,FOV]
+    /// Eye and target in metres, and the vertical field of view in degrees: `X,Y,Z,TX,TY,TZ[,FOV]`
     #[arg(long, value_name = "CAMERA", value_delimiter = ',', num_args = 1, allow_hyphen_values = true)]
     pub(crate) camera: Option<Vec<f64>>,
     /// A second baked file to put on the right
