@@ -26,7 +26,9 @@ fn main() -> ExitCode {
             return if error.use_stderr() { failure::USAGE.into() } else { ExitCode::SUCCESS };
         }
     };
-    start_logs(cli.common.verbose);
+    // A service tells what happens to it; a command's own messages are enough.
+    let is_service = matches!(cli.command, Command::Serve(_) | Command::Worker(_));
+    start_logs(cli.common.verbose.saturating_add(u8::from(is_service) * 2));
     match run(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
@@ -55,11 +57,11 @@ fn run(cli: Cli) -> Result<(), Failure> {
     }
 }
 
-/// Logs go to stderr: warnings by default, more with `-v`; RUST_LOG overrides.
-fn start_logs(verbose: u8) {
-    let level = ["warn", "info", "debug", "trace"][usize::from(verbose.min(3))];
-    let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| {
-        format!("warn,kiln={level},kiln_coordinator={level},kiln_worker={level},kiln_store={level}").into()
-    });
+/// Logs go to stderr: errors at first, then warnings, and so on; RUST_LOG overrides.
+fn start_logs(verbosity: u8) {
+    let level = ["error", "warn", "info", "debug", "trace"][usize::from(verbosity.min(4))];
+    let own = ["kiln", "kiln_coordinator", "kiln_worker", "kiln_store"].map(|name| format!(",{name}={level}"));
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| format!("error{}", own.concat()).into());
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_target(false).init();
 }

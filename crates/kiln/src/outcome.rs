@@ -2,7 +2,7 @@
 
 use crate::{
     args::Common,
-    failure::{FAILED, Failure, INTERRUPTED, REFUSED},
+    failure::{FAILED, Failure, INTERRUPTED},
     half_distances::channel_names,
     progress::{client_failure, stages},
     report::{CacheCounts, Output, Run, report, warning_lines},
@@ -117,7 +117,9 @@ fn ended_badly(bake: &v1::Bake) -> Failure {
         return Failure::new(INTERRUPTED, format!("bake {} was cancelled", bake.bake_id));
     }
     let failure = bake.failure.clone().unwrap_or_default();
-    let code = if failure.kind() == v1::FailureKind::InputRefused { REFUSED } else { FAILED };
+    if failure.kind() == v1::FailureKind::InputRefused {
+        return Failure::refused(failure.message);
+    }
     let attempts: String = failure.attempts.iter().map(|a| format!("\n  {}: {}", a.worker, a.message)).collect();
-    Failure::new(code, format!("{}{attempts}", failure.message))
+    Failure::new(FAILED, format!("{}{attempts}", failure.message))
 }

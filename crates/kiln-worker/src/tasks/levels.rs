@@ -66,12 +66,9 @@ impl LoadedLevel {
     /// The scene and a tracer over it, built once: one BVH for each distinct mesh.
     pub fn tracer(&self, backend: &Backend) -> Result<&SceneTracer, TaskError> {
         let build = || {
-            off_the_pool(|| {
-                let scene = Arc::new(self.build_scene());
-                let tracer = backend.tracer(&scene).map_err(|error| error.to_string())?;
-                Ok((scene, tracer))
-            })
-            .unwrap_or_else(|| Err("building the level's BVHs panicked; this is a bug in Kiln".to_owned()))
+            let scene = Arc::new(self.build_scene());
+            let tracer = backend.tracer(&scene).map_err(|error| error.to_string())?;
+            Ok((scene, tracer))
         };
         self.tracer.get_or_init(build).as_ref().map_err(|reason| TaskError::Failed { reason: reason.clone() })
     }
@@ -129,12 +126,6 @@ pub fn ground_plane(level: &Level) -> Option<Mesh> {
     })
 }
 
-/// Runs what other tasks wait for under a lock on a thread of its own; `None` if it panics. On a thread of the pool, a
-/// parallel loop inside would take up another task while it waits, which would wait for the lock of its own thread.
-fn off_the_pool<T: Send>(work: impl FnOnce() -> T + Send) -> Option<T> {
-    std::thread::scope(|scope| scope.spawn(work).join().ok())
-}
-
 /// A level that is loaded, or is being loaded by who holds the lock.
 #[derive(Clone, Default)]
 struct Slot {
@@ -157,8 +148,7 @@ impl LevelCache {
         if let Some(level) = slot.level.get() {
             return Ok(Arc::clone(level));
         }
-        let panicked = || TaskError::Failed { reason: "loading the level panicked; this is a bug in Kiln".to_owned() };
-        let level = Arc::new(off_the_pool(|| LoadedLevel::load(digest, artefacts)).ok_or_else(panicked)??);
+        let level = Arc::new(LoadedLevel::load(digest, artefacts)?);
         Ok(Arc::clone(slot.level.get_or_init(|| level)))
     }
 

@@ -13,6 +13,7 @@ use kiln_worker::{RemoteArtefacts, Role, WorkerConfig, tasks::BakeExecutor};
 use std::sync::Arc;
 
 pub(crate) fn run(args: &WorkerArgs, common: &Common) -> Result<(), Failure> {
+    super::use_threads(common)?;
     super::runtime()?.block_on(work(args, common))
 }
 
