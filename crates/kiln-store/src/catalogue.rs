@@ -19,7 +19,7 @@ use std::{
     fs,
     path::PathBuf,
     sync::{
-        Arc, Mutex, PoisonError,
+        Arc, Mutex, PoisonError, RwLock,
         atomic::{AtomicU64, Ordering},
     },
 };
@@ -32,7 +32,9 @@ pub(crate) struct Catalogue {
     index: Index,
     /// How often the index was opened: tells a thread whether another has mended it meanwhile.
     openings: AtomicU64,
-    mending: Mutex<()>,
+    /// Held for reading while the index is used, for writing while it is mended: an index that is being built anew
+    /// must not be asked what it does not know yet.
+    mending: RwLock<()>,
     /// Held while results are compared with the kept ones and written.
     results: Mutex<()>,
     faults: Arc<Faults>,
@@ -47,7 +49,7 @@ impl Catalogue {
             packs,
             index,
             openings: AtomicU64::new(0),
-            mending: Mutex::new(()),
+            mending: RwLock::new(()),
             results: Mutex::new(()),
             faults,
         };
@@ -101,17 +103,20 @@ impl Catalogue {
 
     /// Runs an operation on the index; if the index fails, mends it and tries once more.
     fn with_index<T>(&self, operation: impl Fn(&Index) -> Result<T, IndexFailure>) -> Result<T, StoreError> {
-        let opening = self.openings.load(Ordering::Acquire);
-        let failure = match operation(&self.index) {
-            Ok(value) => return Ok(value),
-            Err(failure) => failure,
+        let (opening, failure) = {
+            let _using = self.mending.read().unwrap_or_else(PoisonError::into_inner);
+            match operation(&self.index) {
+                Ok(value) => return Ok(value),
+                Err(failure) => (self.openings.load(Ordering::Acquire), failure),
+            }
         };
         {
-            let _mending = self.mending.lock().unwrap_or_else(PoisonError::into_inner);
+            let _mending = self.mending.write().unwrap_or_else(PoisonError::into_inner);
             if self.openings.load(Ordering::Acquire) == opening {
                 self.rebuild(&failure)?;
             }
         }
+        let _using = self.mending.read().unwrap_or_else(PoisonError::into_inner);
         operation(&self.index).map_err(|failure| self.failed(failure))
     }
 
