@@ -1,5 +1,5 @@
-//! How fast the store is: `cargo test --release -p kiln-store --test speed -- --ignored --nocapture`.
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "tests panic where something is wrong")]
+//! How fast the store is: `cargo run --release -p kiln-store --example speed`.
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a measurement stops where something is wrong")]
 
 use kiln_core::{Digest, JobId, TaskKey};
 use kiln_store::{JournalEvent, OpenOptions, Store};
@@ -24,10 +24,8 @@ fn timed<T>(what: &str, times: u64, run: impl FnOnce() -> T) -> T {
     value
 }
 
-#[test]
-#[ignore = "a measurement, which takes a while"]
-fn leases_lookups_reads_and_appends() {
-    let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).unwrap();
+fn main() {
+    let folder = tempfile::tempdir_in(".").unwrap();
     let store = Store::open(folder.path(), OpenOptions::default()).unwrap();
     let lease = |lease: u64| -> (Vec<Vec<u8>>, Vec<(TaskKey, Digest)>) {
         let artefacts: Vec<_> = (0..200).map(|i| artefact(1000 * lease + i, 100_000)).collect();
