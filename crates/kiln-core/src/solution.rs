@@ -36,8 +36,8 @@ pub enum ComponentMethod {
     Filled,
 }
 
-/// Estimated error of the values, from the two halves.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, Default)]
+/// Estimated error of the values, from the two halves. Areas are of what can be seen.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Default)]
 pub struct ErrorEstimate {
     /// Area-weighted root mean square.
     pub rmse: f64,
@@ -45,6 +45,70 @@ pub struct ErrorEstimate {
     pub p99: f64,
     /// Greatest absolute error at a vertex.
     pub max: f64,
+    /// Area by absolute error, of which p99 is read off; those of several instances add up.
+    pub histogram: ErrorHistogram,
+}
+
+impl ErrorEstimate {
+    /// The estimate for a level, from those of its instances and the area of each that can be seen.
+    pub fn of_level<'a>(instances: impl Iterator<Item = (f64, &'a Self)>) -> Self {
+        let mut total = Self::default();
+        let mut area = 0.0;
+        for (area_m2, error) in instances {
+            area += area_m2;
+            total.rmse += area_m2 * error.rmse * error.rmse;
+            total.max = total.max.max(error.max);
+            total.histogram.merge(&error.histogram);
+        }
+        total.rmse = if area > 0.0 { (total.rmse / area).sqrt() } else { 0.0 };
+        total.p99 = total.histogram.quantile(0.99).min(total.max);
+        total
+    }
+}
+
+/// Area by absolute error, in bins of an eighth of an octave.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Default)]
+pub struct ErrorHistogram {
+    /// Number of the bin and its area, square metres; rising, none empty.
+    bins: Vec<(u8, f64)>,
+}
+
+impl ErrorHistogram {
+    const BINS_PER_OCTAVE: f64 = 8.0;
+    const LAST: u8 = 160;
+
+    /// Adds an area with an absolute error; errors below 2⁻²⁰ share a bin.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to the bins")]
+    pub fn add(&mut self, error: f64, area_m2: f64) {
+        let bin = f64::from(Self::LAST) + (error.log2() * Self::BINS_PER_OCTAVE).ceil();
+        self.add_bin(bin.clamp(0.0, f64::from(Self::LAST)) as u8, area_m2);
+    }
+
+    /// Adds another histogram.
+    pub fn merge(&mut self, other: &Self) {
+        other.bins.iter().for_each(|&(bin, area)| self.add_bin(bin, area));
+    }
+
+    /// The upper end of the bin that holds the quantile; 0 of an empty histogram and in the lowest bin.
+    pub fn quantile(&self, fraction: f64) -> f64 {
+        let wanted = fraction * self.bins.iter().map(|(_, area)| area).sum::<f64>();
+        let mut below = 0.0;
+        let reached = self.bins.iter().find(|(_, area)| {
+            below += area;
+            below >= wanted
+        });
+        match reached.or(self.bins.last()) {
+            None | Some((0, _)) => 0.0,
+            Some((bin, _)) => ((f64::from(*bin) - f64::from(Self::LAST)) / Self::BINS_PER_OCTAVE).exp2(),
+        }
+    }
+
+    fn add_bin(&mut self, bin: u8, area_m2: f64) {
+        match self.bins.binary_search_by_key(&bin, |(bin, _)| *bin) {
+            Ok(at) => self.bins[at].1 += area_m2,
+            Err(at) => self.bins.insert(at, (bin, area_m2)),
+        }
+    }
 }
 
 /// How an instance was solved.
@@ -62,8 +126,8 @@ pub struct SolveSummary {
     pub residual: f64,
     /// Most iterations of conjugate gradients in a component.
     pub iterations: u64,
-    /// World-space area with valid samples, square metres.
-    pub sampled_area_m2: f64,
+    /// World-space area that can be seen, by the fraction of samples that are valid, square metres.
+    pub visible_area_m2: f64,
     /// Estimated error for each channel.
     pub error: Vec<ErrorEstimate>,
     /// Totals of the trace tasks.

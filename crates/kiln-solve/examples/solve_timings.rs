@@ -7,8 +7,14 @@
 use glam::DAffine3;
 use kiln_core::{FaceGroup, FaceMoments, HalfMoments, Mesh, SolveSettings};
 use kiln_solve::{
-    ComponentSystem, SolveInput, SolverParams, assemble::Assembly, components::Components, edges::Edges, frame::Frame,
-    pcg, solve_component, solve_with, sparse, surface::Surface, weld::Weld,
+    ComponentSystem, SolveInput, SolverParams,
+    assemble::Assembly,
+    components::{Components, assembly_system},
+    edges::Edges,
+    frame::Frame,
+    pcg, solve_component, solve_with, sparse,
+    surface::Surface,
+    weld::Weld,
 };
 use std::time::Instant;
 
@@ -58,7 +64,8 @@ fn stages(scene: &Scene, settings: &SolveSettings) -> Vec<String> {
     lap("assemble");
     let components = Components::new(&surface);
     lap("components");
-    let systems: Vec<ComponentSystem> = (0..components.count()).map(|c| components.system(c, &assembly)).collect();
+    let whole = assembly_system(&assembly);
+    let systems: Vec<ComponentSystem<'_>> = (0..components.count()).map(|c| components.part(c, &whole)).collect();
     lap("systems");
     systems.iter().for_each(|system| {
         solve_component(system, &SolverParams::default());
@@ -72,7 +79,8 @@ fn crossover(scene: &Scene, settings: &SolveSettings) -> Vec<String> {
     let weld = Weld::new(&scene.mesh, &frame, settings.weld_degrees);
     let surface = Surface::new(&scene.mesh, &frame, &weld);
     let assembly = Assembly::new(&surface, &Edges::new(&surface), &scene.moments, settings);
-    let system = Components::new(&surface).system(0, &assembly);
+    let whole = assembly_system(&assembly);
+    let system = Components::new(&surface).part(0, &whole);
     let start = Instant::now();
     let direct = sparse::solve(&system, u64::MAX);
     let direct_secs = start.elapsed().as_secs_f64();
@@ -88,7 +96,7 @@ fn crossover(scene: &Scene, settings: &SolveSettings) -> Vec<String> {
             "{} unknowns, {} entries, holes {} edges deep",
             system.len(),
             system.matrix.entry_count(),
-            system.hole_depth
+            system.hole_depth()
         ),
         format!("sparse: {direct_secs:.3} s"),
         format!("pcg: {iterative_secs:.3} s, {:?}", iterative.map(|(_, info)| info)),

@@ -1,18 +1,26 @@
-//! The linear system of an instance: `A = M + α R + μ W`, and the residual of the local averages.
+//! The linear system of an instance: `A = M + α R + κ L + μ W`, and the residual of the local averages.
 //!
-//! M is the analytic mass matrix of the faces that have valid samples; the samples enter by a control variate,
-//! `b = M x0 + Σ w φ (f − g_x0)`, which is far better conditioned than a sampled mass matrix. With the anchor's
-//! `μ W x0` in b, the residual of x0 is `b − A x0 = m − S x0 − α R x0`: M and the anchor drop out.
+//! With S = Σ w φ φᵀ and m = Σ w φ f over the valid samples, `M = θ M̂ + (1 − θ) S`, where M̂ is the analytic mass
+//! matrix of the faces, each times the visible part of its area. The analytic part enters as a control variate,
+//! `b = M x0 + m − S x0`, so the residual of x0 is `b − A x0 = m − S x0 − α R x0`: M and the anchor drop out.
 //!
-//! Deviation from the paper: unknowns that no sample reaches (holes) start from the mean of their neighbours,
-//! ring by ring from the hole's rim, and are tied to it by a very weak anchor. The regulariser alone would leave
-//! some of them undetermined (a patch joined at one vertex) and a wide hole badly conditioned.
+//! Deviations from the paper and from its control variate, θ = 1, measured in docs/benchmarks/least-squares.md. What
+//! the control variate leaves, (S − M)(f − g_x0), is noise as large as the sampling's own where samples are few; a tenth
+//! of it goes as far towards a well-conditioned matrix as is needed. And where a surface is hidden in other geometry,
+//! a membrane takes the place of the missing samples, `κ Σ (x_i − x_j)²` over the edges of each face by its hidden part:
+//! the regulariser alone, blind to linear functions, would extrapolate whatever noise there is at the rim.
 
 use crate::{edges::Edges, hole, hole::HoleUnknown, matrix::LowerCsc, samples::FaceSamples, surface::Surface};
 use kiln_core::{FaceMoments, SolveSettings};
 
-/// Weight of the anchor of unknowns without samples, as a fraction of the area around them. At 1e-5 the
-/// regulariser is the stronger of the two in holes up to some 80 edges across.
+/// Weight θ of the analytic mass matrix in M.
+const ANALYTIC_PART: f64 = 0.1;
+
+/// Weight κ of the membrane over what is hidden, relative to the weight of samples in the same place.
+const MEMBRANE: f64 = 0.01;
+
+/// Weight of the anchor of unknowns without samples, as a fraction of the area around them: far below the membrane's, it
+/// matters only to patches that hang on nothing else.
 const HOLE_ANCHOR: f64 = 1e-5;
 
 /// The system of a whole instance. Vectors over unknowns with several values have those of one unknown together.
@@ -32,8 +40,8 @@ pub struct Assembly {
     pub rhs: Vec<f64>,
     /// Number of channels.
     pub channels: usize,
-    /// Whether each face of the surface has a valid sample.
-    pub sampled: Vec<bool>,
+    /// The part of each face's area that its valid samples speak for, 0 to 1.
+    pub visible: Vec<f64>,
 }
 
 impl Assembly {
@@ -49,11 +57,12 @@ impl Assembly {
             average: vec![0.0; n * channels],
             rhs: vec![0.0; n * 2 * channels],
             channels,
-            sampled: Vec::with_capacity(surface.corners.len()),
+            visible: Vec::with_capacity(surface.corners.len()),
         };
         assembly.average_samples(surface, moments);
         let holes = hole::fill_averages(surface, &assembly.weight, &mut assembly.average, channels);
         assembly.add_samples(surface, moments);
+        assembly.add_membrane(surface);
         assembly.add_regulariser(surface, edges, settings.regularization);
         assembly.add_anchor(settings.anchor, &holes);
         assembly
@@ -69,9 +78,9 @@ impl Assembly {
         let channels = self.channels;
         for (face, corners) in surface.corners.iter().enumerate() {
             let samples = face_samples(surface, moments, face);
-            self.sampled.push(samples.is_some());
+            let phi = samples.map_or([0.0; 3], |samples| samples.mean.phi());
+            self.visible.push((phi.iter().sum::<f64>() / surface.areas[face]).min(1.0));
             let Some(FaceSamples { mean, .. }) = &samples else { continue };
-            let phi = mean.phi();
             for (i, unknown) in corners.map(|u| u as usize).into_iter().enumerate() {
                 self.weight[unknown] += phi[i];
                 for (sum, phi_f) in self.average[unknown * channels..].iter_mut().zip(&mean.phi_f[..channels]) {
@@ -92,10 +101,10 @@ impl Assembly {
         for (face, &[a, b, c]) in surface.corners.iter().enumerate() {
             let samples = face_samples(surface, moments, face);
             let Some(FaceSamples { mean, half_difference }) = &samples else { continue };
-            let area = surface.areas[face];
-            [[a, b], [b, c], [c, a]].into_iter().for_each(|[i, j]| self.matrix.add(i, j, area / 12.0));
             let at = [a, b, c].map(|u| u as usize);
-            at.into_iter().for_each(|u| self.matrix.add_diagonal(u, area / 6.0));
+            let mass = mass(&mean.phi_phi, surface.areas[face] * self.visible[face]);
+            at.into_iter().zip(&mass).for_each(|(u, m)| self.matrix.add_diagonal(u, *m));
+            [[a, b], [a, c], [b, c]].into_iter().zip(&mass[3..]).for_each(|([i, j], m)| self.matrix.add(i, j, *m));
             for channel in 0..channels {
                 let x0 = at.map(|u| self.average[u * channels + channel]);
                 let misfit = mean.misfit(channel, x0);
@@ -103,6 +112,28 @@ impl Assembly {
                 for i in 0..3 {
                     self.rhs[at[i] * columns + channel] += misfit[i];
                     self.rhs[at[i] * columns + channels + channel] += difference[i];
+                }
+            }
+        }
+    }
+
+    /// `κ L` of the hidden parts, and `−κ L x0`.
+    fn add_membrane(&mut self, surface: &Surface) {
+        let (channels, columns) = (self.channels, self.columns());
+        for (face, &[a, b, c]) in surface.corners.iter().enumerate() {
+            let weight = MEMBRANE * surface.areas[face] * (1.0 - self.visible[face]) / 3.0;
+            if weight <= 0.0 {
+                continue;
+            }
+            for [i, j] in [[a, b], [a, c], [b, c]] {
+                self.matrix.add(i, j, -weight);
+                let [i, j] = [i, j].map(|u| u as usize);
+                self.matrix.add_diagonal(i, weight);
+                self.matrix.add_diagonal(j, weight);
+                for channel in 0..channels {
+                    let pull = weight * (self.average[i * channels + channel] - self.average[j * channels + channel]);
+                    self.rhs[i * columns + channel] -= pull;
+                    self.rhs[j * columns + channel] += pull;
                 }
             }
         }
@@ -142,6 +173,12 @@ impl Assembly {
             self.matrix.add_diagonal(unknown, *anchor);
         }
     }
+}
+
+/// A face's part of M, in the order of `phi_phi`, from its samples and the visible part of its area.
+fn mass(phi_phi: &[f64; 6], visible_area: f64) -> [f64; 6] {
+    let analytic = |i: usize| visible_area / if i < 3 { 6.0 } else { 12.0 };
+    std::array::from_fn(|i| ANALYTIC_PART * analytic(i) + (1.0 - ANALYTIC_PART) * phi_phi[i])
 }
 
 /// A face's weighted samples.

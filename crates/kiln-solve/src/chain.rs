@@ -14,15 +14,13 @@ use kiln_core::ComponentMethod;
 pub struct SolverParams {
     /// Components of up to this many unknowns get a dense factorisation.
     pub dense_limit: usize,
-    /// Components of up to this many unknowns get a sparse factorisation, larger ones conjugate gradients. Where
-    /// every face has samples these take some 15 to 90 iterations and are the faster from about 1,000 unknowns.
+    /// Components of up to this many unknowns get a sparse factorisation, larger ones conjugate gradients: at its
+    /// default none, because at no size was faer's factorisation the faster of the two
+    /// (docs/benchmarks/solve.md).
     pub sparse_limit: usize,
-    /// Components with holes deeper than `hole_limit` get a sparse factorisation up to this many unknowns, because
-    /// conjugate gradients take hundreds of iterations there; so do others where they lose their patience. Larger
-    /// ones settle for less.
+    /// Most unknowns of a sparse factorisation where conjugate gradients lose their patience, or where most of the
+    /// component is holes. Larger ones settle for less.
     pub direct_limit: usize,
-    /// Depth in edges to which holes do no harm to conjugate gradients.
-    pub hole_limit: u32,
     /// Most bytes of a sparse factor; where it would take more, the chain goes on without it.
     pub sparse_memory_bytes: u64,
     /// When conjugate gradients stop.
@@ -34,10 +32,9 @@ pub struct SolverParams {
 impl Default for SolverParams {
     fn default() -> Self {
         Self {
-            dense_limit: 64,
-            sparse_limit: 1000,
+            dense_limit: 96,
+            sparse_limit: 0,
             direct_limit: 400_000,
-            hole_limit: 5,
             sparse_memory_bytes: 1 << 30,
             pcg: PcgParams::default(),
             strong_anchor: 10.0,
@@ -45,96 +42,135 @@ impl Default for SolverParams {
     }
 }
 
+/// Where more than one in this many unknowns lies in deep holes, all are factorised instead of the holes alone.
+const MOSTLY_HOLES: usize = 4;
+
 impl SolverParams {
-    fn first_method(&self, system: &ComponentSystem) -> ComponentMethod {
+    fn first_method(&self, system: &ComponentSystem<'_>) -> ComponentMethod {
         let n = system.len();
         if n <= self.dense_limit {
             ComponentMethod::Dense
-        } else if n <= self.sparse_limit || (system.hole_depth > self.hole_limit && n <= self.direct_limit) {
+        } else if n <= self.sparse_limit || (n <= self.direct_limit && self.is_mostly_holes(system)) {
             ComponentMethod::Sparse
         } else {
             ComponentMethod::Pcg
         }
     }
+
+    fn is_mostly_holes(&self, system: &ComponentSystem<'_>) -> bool {
+        let deep = system.hole_ring.iter().filter(|ring| **ring > self.pcg.hole_limit).count();
+        MOSTLY_HOLES * deep > system.len()
+    }
+}
+
+/// Room that solves one after another can share, so that tiny components need next to no allocation.
+#[derive(Debug, Default)]
+pub struct Workspace {
+    factor: Vec<f64>,
+    residual: Vec<f64>,
 }
 
 /// Solves one component and certifies the answer: by the solver for its size, else by sparse Cholesky, else with
 /// a stronger anchor; and if nothing holds, the answer is the local averages (no correction).
-pub fn solve_component(system: &ComponentSystem, params: &SolverParams) -> ComponentAnswer {
-    let mut iterations = 0;
+pub fn solve_component(system: &ComponentSystem<'_>, params: &SolverParams) -> ComponentAnswer {
+    solve_component_in(system, params, &mut Workspace::default())
+}
+
+/// [`solve_component`] in given room.
+pub fn solve_component_in(
+    system: &ComponentSystem<'_>,
+    params: &SolverParams,
+    room: &mut Workspace,
+) -> ComponentAnswer {
+    let mut chain = Chain { system, params, room, iterations: 0 };
     let first = params.first_method(system);
-    let found = match first {
-        ComponentMethod::Dense => dense::solve(system).ok(),
-        ComponentMethod::Sparse => sparse::solve(system, params.sparse_memory_bytes).ok(),
+    let answer = match first {
+        ComponentMethod::Dense => {
+            let found = dense::solve_with_room(system, &mut chain.room.factor).ok();
+            chain.certified(system, found, first)
+        }
+        ComponentMethod::Sparse => chain.sparse(system, first),
         _ if system.len() <= params.direct_limit => {
             let pcg = PcgParams { max_iterations: params.pcg.patience, ..params.pcg };
-            conjugate_gradients(system, &pcg, pcg.tolerance, &mut iterations)
+            chain.iterated(system, &pcg, pcg.tolerance, first)
         }
-        _ => conjugate_gradients(system, &params.pcg, RESIDUAL_LIMIT, &mut iterations),
+        _ => chain.iterated(system, &params.pcg, RESIDUAL_LIMIT, first),
     };
-    certified(system, found, first, iterations)
-        .or_else(|| fall_back(system, params, first, &mut iterations))
-        .unwrap_or_else(|| averages(system, iterations))
+    answer.or_else(|| chain.fall_back(first)).unwrap_or_else(|| chain.averages())
 }
 
-fn fall_back(
-    system: &ComponentSystem,
-    params: &SolverParams,
-    first: ComponentMethod,
-    iterations: &mut u64,
-) -> Option<ComponentAnswer> {
-    if first != ComponentMethod::Sparse {
-        let found = sparse::solve(system, params.sparse_memory_bytes).ok();
-        let answer = certified(system, found, ComponentMethod::SparseFallback, *iterations);
-        if answer.is_some() {
-            return answer;
-        }
-    }
-    let strong = system.with_anchor(params.strong_anchor);
-    let found = match sparse::solve(&strong, params.sparse_memory_bytes) {
-        Ok(found) => Some(found),
-        Err(_) => conjugate_gradients(&strong, &params.pcg, RESIDUAL_LIMIT, iterations),
-    };
-    certified(&strong, found, ComponentMethod::StrongAnchor, *iterations)
-}
-
-/// Conjugate gradients, if they come down to the given residual; counts their iterations.
-fn conjugate_gradients(
-    system: &ComponentSystem,
-    params: &PcgParams,
-    limit: f64,
-    iterations: &mut u64,
-) -> Option<Vec<f64>> {
-    let (found, info) = pcg::solve(system, params).ok()?;
-    *iterations += info.iterations;
-    (info.residual <= limit).then_some(found)
-}
-
-/// The answer, if it has its certificate.
-fn certified(
-    system: &ComponentSystem,
-    found: Option<Vec<f64>>,
-    method: ComponentMethod,
+/// The attempts at one component.
+struct Chain<'a> {
+    system: &'a ComponentSystem<'a>,
+    params: &'a SolverParams,
+    room: &'a mut Workspace,
     iterations: u64,
-) -> Option<ComponentAnswer> {
-    let correction = found?;
-    let certificate = Certificate::new(system, &correction);
-    certificate.holds().then_some(ComponentAnswer { correction, method, residual: certificate.residual, iterations })
 }
 
-fn averages(system: &ComponentSystem, iterations: u64) -> ComponentAnswer {
-    let correction = vec![0.0; system.rhs.len()];
-    let residual = Certificate::new(system, &correction).residual;
-    ComponentAnswer { correction, method: ComponentMethod::Average, residual, iterations }
+impl Chain<'_> {
+    fn fall_back(&mut self, first: ComponentMethod) -> Option<ComponentAnswer> {
+        if first != ComponentMethod::Sparse {
+            let answer = self.sparse(self.system, ComponentMethod::SparseFallback);
+            if answer.is_some() {
+                return answer;
+            }
+        }
+        let strong = self.system.with_anchor(self.params.strong_anchor);
+        self.sparse(&strong, ComponentMethod::StrongAnchor)
+            .or_else(|| self.iterated(&strong, &self.params.pcg, RESIDUAL_LIMIT, ComponentMethod::StrongAnchor))
+    }
+
+    fn sparse(&mut self, system: &ComponentSystem<'_>, method: ComponentMethod) -> Option<ComponentAnswer> {
+        let found = sparse::solve(system, self.params.sparse_memory_bytes).ok();
+        self.certified(system, found, method)
+    }
+
+    /// Conjugate gradients, if they come down to the given residual; counts their iterations.
+    fn iterated(
+        &mut self,
+        system: &ComponentSystem<'_>,
+        params: &PcgParams,
+        limit: f64,
+        method: ComponentMethod,
+    ) -> Option<ComponentAnswer> {
+        let found = pcg::solve_with_residual(system, params).ok()?;
+        self.iterations += found.info.iterations;
+        let certificate = Certificate::of_residual(system, &found.x, &found.r);
+        let good = found.info.residual <= limit && certificate.holds();
+        good.then(|| self.answer(found.x, method, certificate.residual))
+    }
+
+    /// The answer, if it has its certificate.
+    fn certified(
+        &mut self,
+        system: &ComponentSystem<'_>,
+        found: Option<Vec<f64>>,
+        method: ComponentMethod,
+    ) -> Option<ComponentAnswer> {
+        let correction = found?;
+        let certificate = Certificate::with_room(system, &correction, &mut self.room.residual);
+        certificate.holds().then(|| self.answer(correction, method, certificate.residual))
+    }
+
+    fn averages(&mut self) -> ComponentAnswer {
+        let correction = vec![0.0; self.system.rhs.len()];
+        let residual = Certificate::new(self.system, &correction).residual;
+        self.answer(correction, ComponentMethod::Average, residual)
+    }
+
+    fn answer(&self, correction: Vec<f64>, method: ComponentMethod, residual: f64) -> ComponentAnswer {
+        ComponentAnswer { correction, method, residual, iterations: self.iterations }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::matrix::LowerCsc;
+    use std::borrow::Cow;
 
     /// Second differences of a line with loose ends, which is singular but for the anchor.
-    fn loose_line(n: usize, anchor: f64) -> ComponentSystem {
+    fn loose_line(n: usize, anchor: f64) -> ComponentSystem<'static> {
         let mut matrix = LowerCsc::with_pattern(n, || (1..n as u32).map(|i| [i - 1, i]));
         for i in 1..n as u32 {
             matrix.add(i - 1, i, -1.0);
@@ -143,22 +179,35 @@ mod tests {
         }
         (0..n).for_each(|i| matrix.add_diagonal(i, anchor));
         let rhs = (0..n).map(|i| (i * 31 % 17) as f64 - 8.0).collect();
-        ComponentSystem { matrix, anchor: vec![anchor; n], rhs, columns: 1, hole_depth: 0 }
+        ComponentSystem {
+            matrix: Cow::Owned(matrix),
+            anchor: Cow::Owned(vec![anchor; n]),
+            rhs: Cow::Owned(rhs),
+            columns: 1,
+            hole_ring: Cow::Owned(vec![0; n]),
+        }
     }
 
     #[test]
     fn size_decides() {
-        let params = SolverParams { sparse_limit: 100, ..SolverParams::default() };
+        let params = SolverParams { dense_limit: 64, sparse_limit: 100, ..SolverParams::default() };
         let cases = [(64, ComponentMethod::Dense), (65, ComponentMethod::Sparse), (101, ComponentMethod::Pcg)];
         for (n, method) in cases {
             let answer = solve_component(&loose_line(n, 1e-2), &params);
             assert_eq!(answer.method, method);
             assert!(answer.residual <= RESIDUAL_LIMIT, "{answer:?}");
         }
-        let holes = ComponentSystem { hole_depth: 6, ..loose_line(1000, 1e-2) };
-        assert_eq!(solve_component(&holes, &params).method, ComponentMethod::Sparse);
-        let large = SolverParams { direct_limit: 999, ..params };
-        assert_eq!(solve_component(&holes, &large).method, ComponentMethod::Pcg);
+    }
+
+    #[test]
+    fn what_is_mostly_holes_is_factorised_if_it_is_small() {
+        let mut system = loose_line(1000, 0.3);
+        system.hole_ring.to_mut()[..250].fill(6);
+        assert_eq!(solve_component(&system, &SolverParams::default()).method, ComponentMethod::Pcg);
+        system.hole_ring.to_mut()[250] = 6;
+        assert_eq!(solve_component(&system, &SolverParams::default()).method, ComponentMethod::Sparse);
+        let small = SolverParams { direct_limit: 999, ..SolverParams::default() };
+        assert_eq!(solve_component(&system, &small).method, ComponentMethod::Pcg);
     }
 
     #[test]
@@ -185,7 +234,7 @@ mod tests {
     fn a_matrix_that_is_not_positive_definite_gets_a_stronger_anchor() {
         // Indefinite by 1e-3 until the anchor is ten times as strong.
         let mut system = loose_line(300, 1e-3);
-        (0..300).for_each(|i| system.matrix.add_diagonal(i, -2e-3));
+        (0..300).for_each(|i| system.matrix.to_mut().add_diagonal(i, -2e-3));
         let answer = solve_component(&system, &SolverParams::default());
         assert_eq!(answer.method, ComponentMethod::StrongAnchor);
     }

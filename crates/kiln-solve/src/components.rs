@@ -1,6 +1,7 @@
 //! Connected components of the surface, and the linear system of each.
 
 use crate::{assemble::Assembly, matrix::LowerCsc, surface::Surface, system::ComponentSystem, weld::DisjointSets};
+use std::borrow::Cow;
 
 /// The unknowns that faces use, by component.
 #[derive(Clone, Debug)]
@@ -24,7 +25,22 @@ impl Components {
             sets.unite(b, c);
             [a, b, c].iter().for_each(|u| used[*u as usize] = true);
         }
+        Self::of_sets(sets, &used)
+    }
+
+    /// Finds the components of a matrix whose unknowns are all used: those of the surface that it was made for.
+    pub fn of_matrix(matrix: &LowerCsc) -> Self {
+        let mut sets = DisjointSets::new(matrix.len());
+        for column in 0..matrix.len() {
+            let (rows, _) = matrix.column(column);
+            rows[1..].iter().for_each(|row| sets.unite(column as u32, *row));
+        }
+        Self::of_sets(sets, &vec![true; matrix.len()])
+    }
+
+    fn of_sets(mut sets: DisjointSets, used: &[bool]) -> Self {
         // Roots are lowest members, so numbering roots in order numbers components by their lowest unknown.
+        let n = used.len();
         let mut component = vec![u32::MAX; n];
         let mut start = vec![0u32];
         for unknown in (0..n).filter(|u| used[*u]) {
@@ -71,23 +87,52 @@ impl Components {
         self.unknown.len()
     }
 
-    /// The system of one component.
-    pub fn system(&self, component: usize, assembly: &Assembly) -> ComponentSystem {
-        let unknowns = self.unknowns(component);
-        let columns = assembly.columns();
-        let mut matrix = LowerCsc { column_start: vec![0], row: Vec::new(), value: Vec::new() };
-        let mut rhs = Vec::with_capacity(unknowns.len() * columns);
-        for unknown in unknowns.iter().map(|u| *u as usize) {
-            let (rows, values) = assembly.matrix.column(unknown);
-            // Places rise with unknowns, so rows stay in order.
-            matrix.row.extend(rows.iter().map(|row| self.local[*row as usize]));
-            matrix.value.extend_from_slice(values);
-            matrix.column_start.push(matrix.row.len() as u32);
-            rhs.extend_from_slice(&assembly.rhs[unknown * columns..(unknown + 1) * columns]);
+    /// The system of one component, out of that of all; all of it is borrowed if there is no more.
+    pub fn part<'a>(&self, component: usize, whole: &'a ComponentSystem<'_>) -> ComponentSystem<'a> {
+        if self.unknowns(component).len() == whole.len() {
+            return whole.borrowed();
         }
-        let anchor = unknowns.iter().map(|u| assembly.anchor[*u as usize]).collect();
-        let hole_depth = unknowns.iter().map(|u| assembly.hole_ring[*u as usize]).max().unwrap_or(0);
-        ComponentSystem { matrix, anchor, rhs, columns, hole_depth }
+        let mut part = ComponentSystem::default();
+        self.part_into(component, whole, &mut part);
+        part
+    }
+
+    /// The system of one component, out of that of all, put into the room of another.
+    pub(crate) fn part_into(&self, component: usize, whole: &ComponentSystem<'_>, part: &mut ComponentSystem<'_>) {
+        let unknowns = self.unknowns(component);
+        let columns = whole.columns;
+        let LowerCsc { column_start, row, value } = part.matrix.to_mut();
+        let rhs = part.rhs.to_mut();
+        column_start.clear();
+        row.clear();
+        value.clear();
+        rhs.clear();
+        column_start.push(0);
+        for unknown in unknowns.iter().map(|u| *u as usize) {
+            let (rows, values) = whole.matrix.column(unknown);
+            // Places rise with unknowns, so rows stay in order.
+            row.extend(rows.iter().map(|row| self.local[*row as usize]));
+            value.extend_from_slice(values);
+            column_start.push(row.len() as u32);
+            rhs.extend_from_slice(&whole.rhs[unknown * columns..(unknown + 1) * columns]);
+        }
+        let (anchor, hole_ring) = (part.anchor.to_mut(), part.hole_ring.to_mut());
+        anchor.clear();
+        anchor.extend(unknowns.iter().map(|u| whole.anchor[*u as usize]));
+        hole_ring.clear();
+        hole_ring.extend(unknowns.iter().map(|u| whole.hole_ring[*u as usize]));
+        part.columns = columns;
+    }
+}
+
+/// The system of all of an instance's unknowns.
+pub fn assembly_system(assembly: &Assembly) -> ComponentSystem<'_> {
+    ComponentSystem {
+        matrix: Cow::Borrowed(&assembly.matrix),
+        anchor: Cow::Borrowed(&assembly.anchor),
+        rhs: Cow::Borrowed(&assembly.rhs),
+        columns: assembly.columns(),
+        hole_ring: Cow::Borrowed(&assembly.hole_ring),
     }
 }
 

@@ -1,6 +1,9 @@
 //! Dense Cholesky for the smallest components, of which a level has tens of thousands.
 
-use crate::system::ComponentSystem;
+use crate::{
+    columns::{ForColumns, for_columns},
+    system::ComponentSystem,
+};
 
 /// A pivot was not positive: the matrix is not positive definite in f64.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -10,77 +13,116 @@ pub struct NotPositive {
     pub unknown: usize,
 }
 
-/// Solves by `A = L Lᵀ` in `n² / 2` values; meant for some 64 unknowns.
-pub fn solve(system: &ComponentSystem) -> Result<Vec<f64>, NotPositive> {
-    let factor = Factor::new(system)?;
-    let mut x = system.rhs.clone();
-    factor.solve_in_place(&mut x, system.columns);
+/// Solves by `A = L Lᵀ` in `n² / 2` values; meant for some tens of unknowns.
+pub fn solve(system: &ComponentSystem<'_>) -> Result<Vec<f64>, NotPositive> {
+    solve_with_room(system, &mut Vec::new())
+}
+
+/// [`solve`] with room for the factor that can be used again.
+pub(crate) fn solve_with_room(system: &ComponentSystem<'_>, room: &mut Vec<f64>) -> Result<Vec<f64>, NotPositive> {
+    let factor = Factor::new(system, room)?;
+    let mut x = system.rhs.to_vec();
+    for_columns(system.columns, Substitution { factor, x: &mut x }).unwrap_or(());
     Ok(x)
 }
 
-/// L by rows, each up to its diagonal.
-struct Factor {
-    rows: Vec<f64>,
+/// L by columns, each from its diagonal.
+struct Factor<'a> {
+    columns: &'a [f64],
     n: usize,
 }
 
-fn row_start(i: usize) -> usize {
-    i * (i + 1) / 2
-}
-
-impl Factor {
-    fn new(system: &ComponentSystem) -> Result<Self, NotPositive> {
+impl<'a> Factor<'a> {
+    /// Right-looking: every column, when done, is taken from those after it.
+    fn new(system: &ComponentSystem<'_>, room: &'a mut Vec<f64>) -> Result<Self, NotPositive> {
         let n = system.len();
-        let mut rows = vec![0.0; row_start(n)];
+        fill(room, system);
+        let mut rest = &mut room[..];
         for j in 0..n {
-            let (row_indices, values) = system.matrix.column(j);
-            row_indices.iter().zip(values).for_each(|(&i, value)| rows[row_start(i as usize) + j] = *value);
-        }
-        for i in 0..n {
-            let (above, row) = rows.split_at_mut(row_start(i));
-            let row = &mut row[..=i];
-            for j in 0..i {
-                let other = &above[row_start(j)..=row_start(j) + j];
-                row[j] = (row[j] - dot(&row[..j], &other[..j])) / other[j];
-            }
-            let pivot = row[i] - dot(&row[..i], &row[..i]);
+            let (column, after) = rest.split_at_mut(n - j);
+            let pivot = column[0];
             if !(pivot > 0.0 && pivot.is_finite()) {
-                return Err(NotPositive { unknown: i });
+                return Err(NotPositive { unknown: j });
             }
-            row[i] = pivot.sqrt();
+            let scale = 1.0 / pivot.sqrt();
+            column.iter_mut().for_each(|l| *l *= scale);
+            let mut trailing = &mut *after;
+            for k in 1..column.len() {
+                let (other, beyond) = trailing.split_at_mut(column.len() - k);
+                let factor = column[k];
+                if factor != 0.0 {
+                    other.iter_mut().zip(&column[k..]).for_each(|(a, l)| *a -= factor * l);
+                }
+                trailing = beyond;
+            }
+            rest = after;
         }
-        Ok(Self { rows, n })
-    }
-
-    fn solve_in_place(&self, x: &mut [f64], columns: usize) {
-        for c in 0..columns {
-            for i in 0..self.n {
-                let row = &self.rows[row_start(i)..=row_start(i) + i];
-                let known: f64 = (0..i).map(|j| row[j] * x[j * columns + c]).sum();
-                x[i * columns + c] = (x[i * columns + c] - known) / row[i];
-            }
-            for i in (0..self.n).rev() {
-                let row = &self.rows[row_start(i)..=row_start(i) + i];
-                x[i * columns + c] /= row[i];
-                let value = x[i * columns + c];
-                (0..i).for_each(|j| x[j * columns + c] -= row[j] * value);
-            }
-        }
+        Ok(Self { columns: room, n })
     }
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+/// The lower triangle by columns.
+fn fill(room: &mut Vec<f64>, system: &ComponentSystem<'_>) {
+    let n = system.len();
+    room.clear();
+    room.resize(n * (n + 1) / 2, 0.0);
+    let mut start = 0;
+    for j in 0..n {
+        let (rows, values) = system.matrix.column(j);
+        rows.iter().zip(values).for_each(|(&i, value)| room[start + i as usize - j] = *value);
+        start += n - j;
+    }
+}
+
+/// `L y = b`, then `Lᵀ x = y`, in place.
+struct Substitution<'a> {
+    factor: Factor<'a>,
+    x: &'a mut [f64],
+}
+
+impl ForColumns for Substitution<'_> {
+    type Output = ();
+
+    fn run<const K: usize>(self) {
+        let (x, n) = (self.x.as_chunks_mut::<K>().0, self.factor.n);
+        let mut start = 0;
+        for j in 0..n {
+            let column = &self.factor.columns[start..start + n - j];
+            let inverse = 1.0 / column[0];
+            let value = x[j].map(|v| v * inverse);
+            x[j] = value;
+            for (x, l) in x[j + 1..].iter_mut().zip(&column[1..]) {
+                (0..K).for_each(|c| x[c] -= l * value[c]);
+            }
+            start += n - j;
+        }
+        for j in (0..n).rev() {
+            start -= n - j;
+            let column = &self.factor.columns[start..start + n - j];
+            let mut sum = x[j];
+            for (x, l) in x[j + 1..].iter().zip(&column[1..]) {
+                (0..K).for_each(|c| sum[c] -= l * x[c]);
+            }
+            x[j] = sum.map(|v| v / column[0]);
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::matrix::LowerCsc;
+    use std::borrow::Cow;
 
-    fn system(value: Vec<f64>, rhs: Vec<f64>) -> ComponentSystem {
+    fn system(value: Vec<f64>, rhs: Vec<f64>) -> ComponentSystem<'static> {
         let matrix = LowerCsc { column_start: vec![0, 2, 3], row: vec![0, 1, 1], value };
-        ComponentSystem { matrix, anchor: vec![0.0; 2], rhs, columns: 1, hole_depth: 0 }
+        ComponentSystem {
+            matrix: Cow::Owned(matrix),
+            anchor: Cow::Owned(vec![0.0; 2]),
+            rhs: Cow::Owned(rhs),
+            columns: 1,
+            hole_ring: Cow::Owned(vec![0; 2]),
+        }
     }
 
     #[test]

@@ -2,23 +2,20 @@
 
 use crate::{
     assemble::Assembly,
-    chain::{SolverParams, solve_component},
-    components::Components,
+    chain::SolverParams,
+    components::{Components, assembly_system},
     edges::Edges,
     estimate::Differences,
     fill::fill_unknowns,
     frame::Frame,
+    parallel::solve_all,
     surface::Surface,
     system::ComponentAnswer,
     weld::Weld,
 };
 use glam::DAffine3;
 use kiln_core::{ComponentMethod, FaceMoments, Mesh, Solution, SolveSettings, SolveSummary};
-use rayon::prelude::*;
-use std::{
-    collections::BTreeMap,
-    sync::atomic::{AtomicUsize, Ordering},
-};
+use std::collections::BTreeMap;
 
 /// What a solve needs.
 #[derive(Clone, Copy, Debug)]
@@ -200,7 +197,7 @@ impl Solved {
         if !empty.is_empty() {
             solved.methods.insert(ComponentMethod::Filled, empty.len() as u64);
         }
-        for (component, answer) in solve_all(sampled, components, assembly, params) {
+        for (component, answer) in solve_all(sampled, components, &assembly_system(assembly), params) {
             solved.take(components.unknowns(component), &answer, assembly.channels);
         }
         solved
@@ -224,10 +221,12 @@ impl Solved {
     fn summary(&self, surface: &Surface, components: &Components, assembly: &Assembly, unit_m: f64) -> SolveSummary {
         let differences = Differences {
             surface,
-            sampled: &assembly.sampled,
+            visible: &assembly.visible,
             weight: &assembly.weight,
+            values: &self.values,
             half_difference: &self.half_difference,
             channels: assembly.channels,
+            unit_m2: unit_m * unit_m,
         };
         let unused = assembly.weight.len() - components.unknown_count();
         SolveSummary {
@@ -237,52 +236,9 @@ impl Solved {
             methods: self.methods.iter().map(|(method, count)| (*method, *count)).collect(),
             residual: self.residual,
             iterations: self.iterations,
-            sampled_area_m2: differences.sampled_area() * unit_m * unit_m,
+            visible_area_m2: differences.visible_area_m2(),
             error: differences.estimates(),
             trace: Default::default(),
         }
     }
-}
-
-/// Solves components on all threads, the largest first, and returns the answers by component.
-fn solve_all(
-    sampled: Vec<usize>,
-    components: &Components,
-    assembly: &Assembly,
-    params: &SolverParams,
-) -> Vec<(usize, ComponentAnswer)> {
-    let batches = batches(sampled, components);
-    let next = AtomicUsize::new(0);
-    let work = |_: usize| {
-        let mut answers = Vec::new();
-        while let Some(batch) = batches.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let solve = |&c: &usize| (c, solve_component(&components.system(c, assembly), params));
-            answers.extend(batch.iter().map(solve));
-        }
-        answers
-    };
-    let workers = (0..rayon::current_num_threads()).into_par_iter().with_max_len(1);
-    let mut answers: Vec<_> = workers.flat_map_iter(work).collect();
-    answers.sort_unstable_by_key(|(component, _)| *component);
-    answers
-}
-
-/// Components in runs of some thousand unknowns, so that tiny ones cost no bookkeeping; the largest first.
-fn batches(mut sampled: Vec<usize>, components: &Components) -> Vec<Vec<usize>> {
-    const BATCH: usize = 4096;
-    let size = |c: &usize| components.unknowns(*c).len();
-    sampled.sort_by_key(|c| std::cmp::Reverse(size(c)));
-    let mut batches: Vec<Vec<usize>> = Vec::new();
-    let mut unknowns = BATCH;
-    for component in sampled {
-        if unknowns >= BATCH {
-            batches.push(Vec::new());
-            unknowns = 0;
-        }
-        unknowns += size(&component);
-        if let Some(last) = batches.last_mut() {
-            last.push(component);
-        }
-    }
-    batches
 }

@@ -10,16 +10,18 @@
 //! 4. [`edges`] finds the interior edges and their regulariser rows.
 //! 5. [`assemble`] makes `A = M + α R + μ W` and the residual of the local averages x0: what is solved for is
 //!    the correction `δ = x − x0`, so that what the averages get right (a constant) has no rounding to suffer.
-//! 6. [`components`] splits the unknowns; [`chain`] solves each by dense Cholesky, sparse
-//!    Cholesky or conjugate gradients, and [`certificate`] checks every answer before it is used.
+//! 6. [`components`] splits the unknowns, [`parallel`] hands them out; [`chain`] solves each by dense Cholesky or
+//!    conjugate gradients, else by sparse Cholesky, and [`certificate`] checks every answer before it is used.
 //! 7. [`fill`] gives values to what no sample reaches, [`estimate`] the error from the two halves.
 //!
-//! All of it is f64 with a fixed order of every sum: the result depends neither on the number of threads nor on
+//! All of it is f64 but for the recurrence of conjugate gradients, whose f32 is refined in f64 ([`pcg`]), with a
+//! fixed order of every sum: the result depends neither on the number of threads nor on
 //! the order in which components are solved. The instruction set matters only inside faer; [`lane`] names it.
 
 pub mod assemble;
 pub mod certificate;
 pub mod chain;
+mod columns;
 pub mod components;
 pub mod dense;
 pub mod edges;
@@ -28,12 +30,16 @@ pub mod fill;
 pub mod frame;
 mod hole;
 mod instance;
+mod iterate;
 mod lane;
 pub mod level;
 pub mod matrix;
 pub mod nearest;
+pub mod parallel;
 pub mod pcg;
 pub mod samples;
+mod scaled;
+mod schwarz;
 pub mod sparse;
 pub mod surface;
 pub mod system;

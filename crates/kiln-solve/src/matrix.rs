@@ -1,8 +1,10 @@
 //! Symmetric sparse matrices by their lower triangle.
 
+use crate::columns::{ForColumns, for_columns};
+
 /// The lower triangle of a symmetric matrix in compressed columns. Every column starts with its diagonal, rows
 /// rise within a column.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct LowerCsc {
     /// Start of each column, and the number of entries at the end.
     pub column_start: Vec<u32>,
@@ -56,7 +58,7 @@ impl LowerCsc {
 
     /// Number of rows and columns.
     pub fn len(&self) -> usize {
-        self.column_start.len() - 1
+        self.column_start.len().saturating_sub(1)
     }
 
     /// Whether there is no row.
@@ -94,22 +96,43 @@ impl LowerCsc {
         self.value[start + slot] += value;
     }
 
-    /// `rhs − A x` for several columns, those of one unknown together.
+    /// `rhs − A x` for several columns, 1 to [`crate::system::MAX_COLUMNS`], those of one unknown together.
     pub fn residual(&self, columns: usize, x: &[f64], rhs: &[f64]) -> Vec<f64> {
         let mut r = rhs.to_vec();
-        for j in 0..self.len() {
-            let (rows, values) = self.column(j);
-            for (&i, &value) in rows.iter().zip(values) {
-                let i = i as usize;
-                for c in 0..columns {
-                    r[i * columns + c] -= value * x[j * columns + c];
-                    if i != j {
-                        r[j * columns + c] -= value * x[i * columns + c];
-                    }
+        self.subtract_product(columns, x, &mut r);
+        r
+    }
+
+    /// `r −= A x`, as [`Self::residual`].
+    pub(crate) fn subtract_product(&self, columns: usize, x: &[f64], r: &mut [f64]) {
+        for_columns(columns, SubtractProduct { matrix: self, x, r }).unwrap_or(());
+    }
+}
+
+struct SubtractProduct<'a> {
+    matrix: &'a LowerCsc,
+    x: &'a [f64],
+    r: &'a mut [f64],
+}
+
+impl ForColumns for SubtractProduct<'_> {
+    type Output = ();
+
+    fn run<const K: usize>(self) {
+        let (x, r) = (self.x.as_chunks::<K>().0, self.r.as_chunks_mut::<K>().0);
+        for j in 0..self.matrix.len() {
+            let (rows, values) = self.matrix.column(j);
+            let xj = x[j];
+            let mut sum: [f64; K] = std::array::from_fn(|c| values[0] * xj[c]);
+            for (&i, &value) in rows[1..].iter().zip(&values[1..]) {
+                let (xi, ri) = (&x[i as usize], &mut r[i as usize]);
+                for c in 0..K {
+                    ri[c] -= value * xj[c];
+                    sum[c] += value * xi[c];
                 }
             }
+            (0..K).for_each(|c| r[j][c] -= sum[c]);
         }
-        r
     }
 }
 

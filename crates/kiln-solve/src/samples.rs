@@ -11,12 +11,13 @@ pub struct WeightedSums {
     pub phi_phi: [f64; 6],
 }
 
-/// A face with valid samples. Weights of a half add up to the face's area, also where samples were dropped.
+/// A face with valid samples. Each half speaks for half of the face's area, each of its samples for an equal part of
+/// that; what the invalid ones would speak for is hidden, and nobody speaks for it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FaceSamples {
-    /// The mean of the halves that have valid samples.
+    /// The mean of the halves.
     pub mean: WeightedSums,
-    /// Half the difference of the halves, zero where one of them has no valid sample.
+    /// Half the difference of the halves.
     pub half_difference: WeightedSums,
 }
 
@@ -24,17 +25,17 @@ impl FaceSamples {
     /// Weighs the halves of a face of the given area; `None` where no sample is valid.
     #[inline]
     pub fn new(halves: &[HalfMoments; 2], channels: usize, area: f64) -> Option<Self> {
-        let [first, second] = halves;
+        let taking = halves.iter().filter(|half| half.taken.max(half.valid) > 0).count();
+        if halves.iter().all(|half| half.valid == 0) {
+            return None;
+        }
         let mut samples = Self::default();
-        if first.valid > 0 && second.valid > 0 {
-            for (half, sign) in [(first, 1.0), (second, -1.0)] {
-                let weight = 0.5 * area / f64::from(half.valid);
-                samples.mean.add(half, channels, weight);
+        for (half, sign) in halves.iter().zip([1.0, -1.0]).filter(|(half, _)| half.valid > 0) {
+            let weight = area / (taking as f64 * f64::from(half.taken.max(half.valid)));
+            samples.mean.add(half, channels, weight);
+            if taking == 2 {
                 samples.half_difference.add(half, channels, sign * weight);
             }
-        } else {
-            let half = [first, second].into_iter().find(|half| half.valid > 0)?;
-            samples.mean.add(half, channels, area / f64::from(half.valid));
         }
         Some(samples)
     }
@@ -74,14 +75,17 @@ mod tests {
     }
 
     #[test]
-    fn dropped_samples_leave_the_area() {
+    fn invalid_samples_hide_their_part_of_the_area() {
         let mut one = half(&[1.0]);
         one.add_invalid();
-        for halves in [[one, HalfMoments::default()], [half(&[1.0, 1.0]), one]] {
+        let mut none = HalfMoments::default();
+        none.add_invalid();
+        for (halves, visible) in [([one, none], 0.75), ([half(&[1.0, 1.0]), one], 2.25), ([half(&[1.0]), none], 1.5)] {
             let samples = FaceSamples::new(&halves, 1, 3.0).unwrap();
-            assert!((samples.mean.phi().iter().sum::<f64>() - 3.0).abs() < 1e-15);
-            assert!((samples.mean.phi_f[0].iter().sum::<f64>() - 3.0).abs() < 1e-15);
+            assert!((samples.mean.phi().iter().sum::<f64>() - visible).abs() < 1e-15);
+            assert!((samples.mean.phi_f[0].iter().sum::<f64>() - visible).abs() < 1e-15);
         }
+        assert_eq!(FaceSamples::new(&[none; 2], 1, 3.0), None);
         assert_eq!(FaceSamples::new(&[HalfMoments::default(); 2], 1, 3.0), None);
     }
 
@@ -92,6 +96,7 @@ mod tests {
         assert!((samples.half_difference.phi_f[0].iter().sum::<f64>() - 1.0).abs() < 1e-15);
         let single = FaceSamples::new(&[half(&[1.0, 0.5]), HalfMoments::default()], 1, 2.0).unwrap();
         assert_eq!(single.half_difference, WeightedSums::default());
+        assert!((single.mean.phi().iter().sum::<f64>() - 2.0).abs() < 1e-15);
     }
 
     #[test]

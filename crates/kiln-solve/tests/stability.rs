@@ -80,7 +80,7 @@ fn faces_that_do_not_receive_take_no_part() {
     let found = solve(&mesh, &wave_samples(&mesh), &settings(1.0, 1e-3));
     assert_eq!(found.values[..144], base.values[..]);
     assert_eq!(found.values[144], base.values[0]);
-    assert_eq!(found.summary.sampled_area_m2, base.summary.sampled_area_m2);
+    assert_eq!(found.summary.visible_area_m2, base.summary.visible_area_m2);
 }
 
 #[test]
@@ -250,7 +250,7 @@ fn components_without_samples_take_the_nearest_surface() {
     let samples = moments(&mesh, 6, |s| (s.face < 242).then(|| wave(s.point)));
     let found = solve(&mesh, &samples, &settings(1.0, 1e-3));
     assert_eq!(found.values[144..], [found.values[143]; 3]);
-    assert_eq!(found.summary.methods, [(ComponentMethod::Sparse, 1), (ComponentMethod::Filled, 1)]);
+    assert_eq!(found.summary.methods, [(ComponentMethod::Pcg, 1), (ComponentMethod::Filled, 1)]);
     assert!(!found.unsampled);
 }
 
@@ -263,7 +263,7 @@ fn an_instance_without_samples_says_so() {
     let flat = DAffine3::from_scale(DVec3::new(1.0, 0.0, 0.0));
     let params = SolverParams::default();
     let found = solve_at(&mesh, &wave_samples(&mesh), &settings(1.0, 1e-3), flat, &params);
-    assert!(found.unsampled && found.summary.sampled_area_m2 == 0.0);
+    assert!(found.unsampled && found.summary.visible_area_m2 == 0.0);
     let empty = solve(&mesh_of_nothing(), &FaceMoments::new(2), &settings(1.0, 1e-3));
     assert!(empty.unsampled && empty.values.is_empty() && empty.summary.error.len() == 2);
 }
@@ -281,7 +281,8 @@ fn ten_thousand_components_of_one_triangle() {
     let found = solve(&mesh, &moments(&mesh, 2, value), &settings(1.0, 1e-3));
     assert_eq!(found.summary.methods, [(ComponentMethod::Dense, 10_000)]);
     let expected = (0..30_000).map(|v| noise(v / 3) as f32);
-    assert!(distance(found.values, expected) < 1e-6);
+    // The moments are rounded to f32, and two samples leave a direction to the tenth of the mass that is analytic.
+    assert!(distance(found.values, expected) < 1e-5);
 }
 
 #[test]
