@@ -4,6 +4,9 @@
 use glam::{DAffine3, Vec3};
 use kiln_core::{Mesh, Sampling};
 
+/// Most samples of one face that adaptive sampling begins with.
+const FIRST_CAP: u32 = 16;
+
 /// World-space areas of an instance's receiving faces.
 pub struct FaceAreas {
     /// Square metres for each face; 0 for faces that do not receive.
@@ -44,7 +47,9 @@ pub fn sample_count(area_m2: f64, class_cap: Option<u32>, density_per_m2: f64, s
     if area_m2 <= 0.0 {
         return 0;
     }
-    let cap = class_cap.map_or(sampling.max_samples_per_face, |cap| cap.min(sampling.max_samples_per_face));
+    // Adaptive sampling finds out by itself which faces want more.
+    let most = sampling.target.map_or(sampling.max_samples_per_face, |_| FIRST_CAP.min(sampling.max_samples_per_face));
+    let cap = class_cap.map_or(most, |cap| cap.min(most));
     let wanted = (area_m2 * density_per_m2).ceil().min(f64::from(cap));
     let wanted = (wanted as u32).next_multiple_of(2).min(cap & !1);
     wanted.max(sampling.min_samples_per_face)
@@ -83,6 +88,7 @@ mod tests {
 
     fn sampling(mean: f64, min: u32, max: u32) -> Sampling {
         Sampling {
+            target: None,
             kernel: Kernel::Obscurance { half_distances_m: vec![2.0] },
             rays_per_sample: 32,
             mean_samples_per_face: mean,

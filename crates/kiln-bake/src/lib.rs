@@ -5,8 +5,10 @@
 //! say how many samples a face gets, for the plan. [`probe`] gathers at given points.
 
 mod density;
+mod noise;
 mod piece;
 mod probe;
+mod rounds;
 mod samples;
 mod scramble;
 

@@ -2,6 +2,7 @@
 
 use crate::{
     density::{receiving_area_m2, sample_count},
+    rounds::Rounds,
     samples::{Position, SampleMaker},
 };
 use glam::DAffine3;
@@ -18,7 +19,7 @@ pub struct Piece<'a> {
     pub world_from_object: &'a DAffine3,
     /// The faces.
     pub faces: Range<usize>,
-    /// Samples per square metre.
+    /// Samples per square metre; those to begin with where sampling is adaptive.
     pub density_per_m2: f64,
     /// How samples are made.
     pub sampling: &'a Sampling,
@@ -27,71 +28,106 @@ pub struct Piece<'a> {
 /// Traces a piece. `scene` is what the tracer traces, for the test that leaves out samples that see nothing.
 ///
 /// A sample is valid if it has a ray above its surface and at most `back_face_limit` of its rays hit back faces
-/// (Sloan et al. 2013, section 2.1). A position on a double-sided face has the mean of its valid sides.
+/// (Sloan et al. 2013, section 2.1). A position on a double-sided face has the mean of its valid sides. With a target,
+/// samples are added in rounds until what the piece has found says that its error is small enough.
 pub fn trace_piece(tracer: &dyn Tracer, scene: &Scene, piece: &Piece<'_>) -> Result<FaceMoments, TraceError> {
-    let sampling = piece.sampling;
-    let kernel = KernelRates::new(&sampling.kernel);
-    let halves = positions(piece);
-    let samples: Vec<SurfaceSample> =
-        halves.iter().flatten().flat_map(|position| position.sides.iter().flatten().copied()).collect();
-    let (sums, summary) = gather(tracer, scene, &kernel, sampling, &samples)?;
-
-    let mut moments = FaceMoments::new(kernel.channels);
-    moments.summary = summary;
-    let mut sums = sums.iter();
-    for face in halves.chunks_exact(2) {
-        let mut pair = [HalfMoments::default(); 2];
-        for (half, positions) in pair.iter_mut().zip(face) {
-            for position in positions {
-                let sides = sums.by_ref().take(position.sides.iter().flatten().count());
-                add_position(half, position, sides, &kernel, sampling, &mut moments.summary);
-            }
-        }
-        moments.push(&pair);
+    let mut sampler = Sampler::new(tracer, scene, piece);
+    sampler.extend(&piece.first_counts())?;
+    if let Some(target) = &piece.sampling.target {
+        Rounds::new(piece, target).run(&mut sampler)?;
     }
+    let mut moments = FaceMoments::new(sampler.kernel.channels);
+    sampler.halves.iter().for_each(|halves| moments.push(halves));
+    moments.summary = sampler.summary;
     Ok(moments)
 }
 
-/// Positions of each half of each face: face 0 half 0, face 0 half 1, face 1 half 0, …
-fn positions(piece: &Piece<'_>) -> Vec<Vec<Position>> {
-    let sampling = piece.sampling;
-    let maker = SampleMaker::new(piece.mesh, piece.world_from_object, sampling.seed, sampling.rays_per_sample);
-    let face = |face: usize| {
-        let area = receiving_area_m2(piece.mesh, piece.world_from_object, face);
-        let cap = piece.mesh.group(face).max_samples_per_face;
-        let count = sample_count(area, cap, piece.density_per_m2, sampling);
-        [maker.half(face, 0, count / 2), maker.half(face, 1, count / 2)]
-    };
-    piece.faces.clone().into_par_iter().flat_map_iter(face).collect()
+impl Piece<'_> {
+    /// Samples of each half of each face to begin with.
+    fn first_counts(&self) -> Vec<[u32; 2]> {
+        let count = |face: usize| {
+            let area = receiving_area_m2(self.mesh, self.world_from_object, face);
+            let cap = self.mesh.group(face).max_samples_per_face;
+            sample_count(area, cap, self.density_per_m2, self.sampling) / 2
+        };
+        self.faces.clone().into_par_iter().map(count).map(|count| [count; 2]).collect()
+    }
 }
 
-/// Gathers the samples that may see something; the others are open without a ray.
-fn gather(
-    tracer: &dyn Tracer,
-    scene: &Scene,
-    kernel: &KernelRates,
-    sampling: &Sampling,
-    samples: &[SurfaceSample],
-) -> Result<(Vec<CosineSums>, TraceSummary), TraceError> {
-    let rays = sampling.rays_per_sample;
-    let open = |sample: &SurfaceSample| is_open_above(scene, sample.origin, sample.geometric, kernel.t_max);
-    let is_open: Vec<bool> = samples.par_iter().with_min_len(64).map(open).collect();
-    let closed: Vec<SurfaceSample> =
-        samples.iter().zip(&is_open).filter(|&(_, &open)| !open).map(|(&sample, _)| sample).collect();
-    let mut gathered = vec![CosineSums::default(); closed.len()];
-    tracer.gather_cosine(&closed, kernel, rays, &mut gathered)?;
+/// Takes samples of a piece's faces, and keeps what they found.
+pub(crate) struct Sampler<'a> {
+    tracer: &'a dyn Tracer,
+    scene: &'a Scene,
+    piece: &'a Piece<'a>,
+    maker: SampleMaker<'a>,
+    kernel: KernelRates,
+    /// The two halves of each face; [`HalfMoments::taken`] is where the next round goes on.
+    pub(crate) halves: Vec<[HalfMoments; 2]>,
+    pub(crate) summary: TraceSummary,
+}
 
-    let open_sums = CosineSums { values: [kiln_trace::ONE * rays; 4], rays, back_faces: 0 };
-    let mut gathered = gathered.into_iter();
-    let sums = is_open.iter().map(|&open| if open { open_sums } else { gathered.next().unwrap_or_default() }).collect();
-    let skipped = (samples.len() - closed.len()) as u64;
-    let summary = TraceSummary {
-        samples: samples.len() as u64,
-        invalid: 0,
-        rays: closed.len() as u64 * u64::from(rays),
-        rays_skipped_empty: skipped * u64::from(rays),
-    };
-    Ok((sums, summary))
+impl<'a> Sampler<'a> {
+    fn new(tracer: &'a dyn Tracer, scene: &'a Scene, piece: &'a Piece<'a>) -> Self {
+        let sampling = piece.sampling;
+        Self {
+            tracer,
+            scene,
+            piece,
+            maker: SampleMaker::new(piece.mesh, piece.world_from_object, sampling.seed, sampling.rays_per_sample),
+            kernel: KernelRates::new(&sampling.kernel),
+            halves: vec![[HalfMoments::default(); 2]; piece.faces.len()],
+            summary: TraceSummary::default(),
+        }
+    }
+
+    /// Takes more samples, until each half of each face has as many as wanted.
+    pub(crate) fn extend(&mut self, wanted: &[[u32; 2]]) -> Result<(), TraceError> {
+        let halves = self.positions(wanted);
+        let samples: Vec<SurfaceSample> =
+            halves.iter().flatten().flat_map(|position| position.sides.iter().flatten().copied()).collect();
+        let sums = self.gather(&samples)?;
+        let mut sums = sums.iter();
+        for (index, positions) in halves.iter().enumerate() {
+            for position in positions {
+                let sides = sums.by_ref().take(position.sides.iter().flatten().count());
+                let half = &mut self.halves[index / 2][index % 2];
+                add_position(half, position, sides, &self.kernel, self.piece.sampling, &mut self.summary);
+            }
+        }
+        Ok(())
+    }
+
+    /// New positions of each half of each face: face 0 half 0, face 0 half 1, face 1 half 0, …
+    fn positions(&self, wanted: &[[u32; 2]]) -> Vec<Vec<Position>> {
+        let face = |index: usize| {
+            [0, 1].map(|half| {
+                let taken = self.halves[index][half].taken;
+                self.maker.half(self.piece.faces.start + index, half, taken..wanted[index][half].max(taken))
+            })
+        };
+        (0..wanted.len()).into_par_iter().flat_map_iter(face).collect()
+    }
+
+    /// Gathers the samples that may see something; the others are open without a ray.
+    fn gather(&mut self, samples: &[SurfaceSample]) -> Result<Vec<CosineSums>, TraceError> {
+        let rays = self.piece.sampling.rays_per_sample;
+        let open =
+            |sample: &SurfaceSample| is_open_above(self.scene, sample.origin, sample.geometric, self.kernel.t_max);
+        let is_open: Vec<bool> = samples.par_iter().with_min_len(64).map(open).collect();
+        let closed: Vec<SurfaceSample> =
+            samples.iter().zip(&is_open).filter(|&(_, &open)| !open).map(|(&sample, _)| sample).collect();
+        let mut gathered = vec![CosineSums::default(); closed.len()];
+        self.tracer.gather_cosine(&closed, &self.kernel, rays, &mut gathered)?;
+
+        self.summary.samples += samples.len() as u64;
+        self.summary.rays += closed.len() as u64 * u64::from(rays);
+        self.summary.rays_skipped_empty += (samples.len() - closed.len()) as u64 * u64::from(rays);
+        let open_sums = CosineSums { values: [kiln_trace::ONE * rays; 4], rays, back_faces: 0 };
+        let mut gathered = gathered.into_iter();
+        let sums =
+            is_open.iter().map(|&open| if open { open_sums } else { gathered.next().unwrap_or_default() }).collect();
+        Ok(sums)
+    }
 }
 
 /// Adds the mean of a position's valid sides to its half's moments.

@@ -11,6 +11,8 @@ pub struct ProbePoint {
     pub position: DVec3,
     /// Direction of the hemisphere; need not be of unit length, but not zero.
     pub normal: DVec3,
+    /// Normal of the surface, if it is another: directions below it are left out. Not zero.
+    pub geometric: Option<DVec3>,
 }
 
 /// What a probe finds.
@@ -38,11 +40,12 @@ pub fn probe(
     let mut samples = Vec::with_capacity(points.len() * blocks);
     for point in points {
         let normal = point.normal.normalize_or(DVec3::Y).as_vec3();
+        let geometric = point.geometric.map_or(normal, |geometric| geometric.normalize_or(point.normal).as_vec3());
         let origin = point.position.as_vec3();
         samples.extend((0..blocks as u32).map(|block| SurfaceSample {
             origin,
             normal,
-            geometric: normal,
+            geometric,
             scramble: SobolScramble([seed.wrapping_mul(0x9e37_79b9) ^ 0x2545_f491, seed ^ 0x6a09_e667]),
             first_index: block * rays_per_sample,
         }));

@@ -4,6 +4,7 @@ use crate::scramble::{InstanceKey, Stream};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use kiln_core::Mesh;
 use kiln_trace::{PositionError, SurfaceSample, sobol_point};
+use std::ops::Range;
 
 /// Makes the samples of one instance's faces.
 pub(crate) struct SampleMaker<'a> {
@@ -45,8 +46,9 @@ impl<'a> SampleMaker<'a> {
         }
     }
 
-    /// Positions of one half of a face's samples; none if the face has no area in world space.
-    pub(crate) fn half(&self, face: usize, half: usize, count: u32) -> Vec<Position> {
+    /// Positions of one half of a face's samples, by their indices in its sequence; none if the face has no area in
+    /// world space. Past the cap of its class come further directions at the same positions.
+    pub(crate) fn half(&self, face: usize, half: usize, indices: Range<u32>) -> Vec<Position> {
         let object = self.mesh.corners(face);
         let world = object.map(|c| self.world_from_object.transform_point3(c.as_dvec3()));
         let cross = (world[1] - world[0]).cross(world[2] - world[0]);
@@ -58,9 +60,10 @@ impl<'a> SampleMaker<'a> {
         let extent = (b - a).length().max((c - b).length()).max((a - c).length());
         let key = self.key.face(object);
         let positions = key.scramble(half, Stream::Positions);
+        let positions_kept = self.mesh.group(face).max_samples_per_face.map_or(u32::MAX, |cap| (cap / 2).max(1));
         let is_double_sided = self.mesh.group(face).double_sided;
         let position = |index: u32| {
-            let phi = barycentric(sobol_point(index, positions).map(f64::from));
+            let phi = barycentric(sobol_point(index % positions_kept, positions).map(f64::from));
             let point = world[0] * phi[0] + world[1] * phi[1] + world[2] * phi[2];
             let offset = self.error.bound(point, extent).dot(geometric.abs());
             let shading = self.shading_normal(face, phi, geometric);
@@ -74,7 +77,7 @@ impl<'a> SampleMaker<'a> {
             let back = is_double_sided.then(|| side(-1.0, Stream::BackDirections));
             Position { phi, sides: [Some(side(1.0, Stream::FrontDirections)), back] }
         };
-        (0..count).map(position).collect()
+        indices.map(position).collect()
     }
 
     /// The interpolated normal where all three corners have one and it is on the geometric normal's side.

@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use kiln_bake::{FaceAreas, Piece, ProbePoint, density, probe, trace_piece};
-use kiln_core::{Class, Digest, FaceGroup, FaceMoments, HalfMoments, Kernel, Mesh, Sampling};
+use kiln_core::{Class, Digest, FaceGroup, FaceMoments, HalfMoments, Kernel, Mesh, Sampling, Target};
 use kiln_trace::{CpuTracer, MeshBvh, Scene, SceneObject};
 use std::sync::Arc;
 
@@ -32,6 +32,7 @@ fn cube(center: Vec3, half: f32) -> Vec<[Vec3; 3]> {
 
 fn sampling(rays_per_sample: u32, half_distances_m: &[f64]) -> Sampling {
     Sampling {
+        target: None,
         kernel: Kernel::Obscurance { half_distances_m: half_distances_m.to_vec() },
         rays_per_sample,
         mean_samples_per_face: 8.0,
@@ -195,7 +196,7 @@ fn probes_match_closed_forms() {
     let ceiling = mesh(&square(Vec3::Y * 2.0, Vec3::X * 20000.0, Vec3::Z * 20000.0), false);
     let scene = Fixture { meshes: vec![ceiling], places: vec![(0, DAffine3::IDENTITY)] };
     let kernel = Kernel::Obscurance { half_distances_m: vec![2.0, 300.0] };
-    let point = ProbePoint { position: DVec3::ZERO, normal: DVec3::Y * 3.0 };
+    let point = ProbePoint { position: DVec3::ZERO, normal: DVec3::Y * 3.0, geometric: None };
     let found = probe(&scene.tracer(), &[point, point], &kernel, 1 << 17, 3).unwrap();
     assert_eq!(found[0], found[1]);
     assert!((found[0].ao[0] - 0.664_639_946_4).abs() < 1e-4 && (found[0].ao[1] - 0.009_107_404_1).abs() < 1e-4);
@@ -203,10 +204,101 @@ fn probes_match_closed_forms() {
     assert_eq!((up[0].ao.as_slice(), up[0].back_face_fraction), (&[1.0, 1.0][..], 0.0));
 }
 
+fn adaptive(rmse: f64) -> Sampling {
+    let target = Some(Target::named(rmse));
+    Sampling { target, mean_samples_per_face: 2.0, max_samples_per_face: 512, ..sampling(16, &[0.5, 20.0]) }
+}
+
+/// Mean over the visible area, the two halves of a face weighing the same.
+fn mean_ao(scene: &Fixture, moments: &FaceMoments, instance: usize, channel: usize) -> [f64; 2] {
+    let (mesh, place) = &scene.places[instance];
+    let areas = FaceAreas::new(&scene.meshes[*mesh], place).area_m2;
+    let (mut sum, mut visible) = ([0.0; 2], [0.0; 2]);
+    for (face, area) in areas.iter().enumerate() {
+        for (half, moments) in moments.face(face).iter().enumerate() {
+            sum[half] += area * moments.phi_f[channel].iter().sum::<f64>() / f64::from(moments.taken);
+            visible[half] += area * f64::from(moments.valid) / f64::from(moments.taken);
+        }
+    }
+    [sum[0] + sum[1], visible[0] + visible[1]].map(|both| both / 2.0 / areas.iter().sum::<f64>())
+}
+
+#[test]
+fn adaptive_counts_bias_nothing() {
+    let scene = crates();
+    let exact = scene.trace(0, 0..2, &Sampling { mean_samples_per_face: 512.0, ..sampling(64, &[0.5, 20.0]) });
+    let exact = mean_ao(&scene, &exact, 0, 1);
+    let seeds = 0..300u64;
+    let (mut sum, mut squares) = ([0.0; 2], [0.0; 2]);
+    for seed in seeds.clone() {
+        let found = mean_ao(&scene, &scene.trace(0, 0..2, &Sampling { seed, ..adaptive(0.03) }), 0, 1);
+        for (i, value) in found.into_iter().enumerate() {
+            sum[i] += value;
+            squares[i] += value * value;
+        }
+    }
+    let n = seeds.count() as f64;
+    for i in 0..2 {
+        let mean = sum[i] / n;
+        let standard_error = ((squares[i] / n - mean * mean) / n).sqrt();
+        assert!((mean - exact[i]).abs() < 4.0 * standard_error + 1e-3, "{i}: {mean} ± {standard_error}, {}", exact[i]);
+    }
+}
+
+#[test]
+fn a_finer_target_takes_more_samples_and_errs_less() {
+    let scene = crates();
+    let rays = [0.1, 0.02, 0.005].map(|rmse| scene.trace(0, 0..2, &adaptive(rmse)).summary.rays);
+    assert!(rays[0] < rays[1] && rays[1] < rays[2], "{rays:?}");
+    let first = scene.trace(0, 0..2, &adaptive(1.0));
+    assert!((0..2).all(|face| first.face(face).iter().all(|half| half.taken == 1)), "{:?}", first.summary);
+}
+
+#[test]
+fn where_nothing_is_in_reach_no_ray_is_traced() {
+    let open = Fixture {
+        meshes: vec![mesh(&square(Vec3::ZERO, Vec3::Z, Vec3::X), false)],
+        places: vec![(0, DAffine3::IDENTITY)],
+    };
+    let found = open.trace(0, 0..2, &adaptive(1e-4));
+    assert_eq!(found.summary.rays, 0);
+    assert!((0..2).flat_map(|face| found.face(face)).all(|half| half.valid == half.taken));
+}
+
+#[test]
+fn past_the_cap_of_a_class_positions_are_used_again() {
+    let mut scene = crates();
+    scene.meshes[0].groups[0].max_samples_per_face = Some(2);
+    let found = scene.trace(0, 0..2, &adaptive(0.002));
+    for half in (0..2).flat_map(|face| found.face(face)) {
+        assert!(half.taken > 1 && half.taken <= 16, "{half:?}");
+        // All at one position: Σφφᵀ has rank one.
+        let [xx, yy, _, xy, ..] = half.phi_phi;
+        assert!(half.valid == 0 || (xx * yy - xy * xy).abs() < 1e-5 * xx * yy, "{half:?}");
+    }
+}
+
+#[test]
+fn buried_faces_get_no_more_than_the_first_samples() {
+    let scene = Fixture {
+        meshes: vec![mesh(&square(Vec3::ZERO, Vec3::Z * 5.0, Vec3::X * 5.0), false), {
+            let mut faces = cube(Vec3::ZERO, 0.5);
+            faces.extend(square(Vec3::new(0.0, 0.1, 0.0), Vec3::Z * 0.1, Vec3::X * 0.1));
+            mesh(&faces, false)
+        }],
+        places: vec![(0, DAffine3::IDENTITY), (1, DAffine3::from_translation(DVec3::Y * 0.5))],
+    };
+    let found = scene.trace(1, 0..14, &adaptive(0.004));
+    assert!((12..14).all(|face| found.face(face).iter().all(|half| half.taken == 1 && half.valid == 0)));
+    assert!((0..12).any(|face| found.face(face)[0].taken > 1));
+    assert!(found.summary.rays_skipped_buried > 0 && found.summary.rays_saved_adaptive > 0, "{:?}", found.summary);
+}
+
 /// Fails when the output of trace tasks changes: raise `TaskKind::Trace`'s kernel revision, then this digest.
 #[test]
 fn output_is_what_the_kernel_revision_says() {
-    let moments = crates().trace(2, 0..12, &sampling(16, &[0.5, 20.0]));
-    let digest = Digest::of(&moments.to_bytes()).short();
-    assert_eq!((kiln_core::TaskKind::Trace.kernel_rev(), digest.as_str()), (1, "1cf7d0e6"));
+    let fixed = crates().trace(2, 0..12, &sampling(16, &[0.5, 20.0])).to_bytes();
+    let adaptive = crates().trace(2, 0..12, &adaptive(0.01)).to_bytes();
+    let digest = Digest::of(&[fixed, adaptive].concat()).short();
+    assert_eq!((kiln_core::TaskKind::Trace.kernel_rev(), digest.as_str()), (2, "fbd12c8a"));
 }

@@ -19,9 +19,9 @@ pub use level::{Instance, Level, LevelCounts, MeshEntry, VertexBlock, Warning};
 pub use moments::{FaceMoments, HalfMoments, MomentsError, TraceSummary};
 pub use settings::{
     Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, Kernel, MAX_CHANNELS, OutputSettings, Quality, Remap,
-    Sampling, SolveSettings, ValueFormat,
+    Sampling, SolveSettings, Target, ValueFormat,
 };
-pub use solution::{ComponentMethod, ErrorEstimate, Solution, SolveSummary};
+pub use solution::{ComponentMethod, ErrorEstimate, ErrorHistogram, Solution, SolveSummary};
 pub use task::{
     BakeSummary, Baked, ExportSpec, JobId, Lane, MeshSummary, PlanSpec, SolveTask, SourceFile, SourceManifest,
     TaskGraph, TaskKey, TaskKind, TaskSpec, TraceTask,

@@ -9,7 +9,7 @@ use crate::MAX_CHANNELS;
 use bytemuck::{cast_slice, pod_collect_to_vec};
 use serde::{Deserialize, Serialize};
 
-const MAGIC: [u8; 8] = *b"kilnMOM1";
+const MAGIC: [u8; 8] = *b"kilnMOM2";
 
 /// Moments of one half of a face's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
@@ -60,6 +60,10 @@ pub struct TraceSummary {
     pub rays: u64,
     /// Rays not traced because nothing lies within reach of their sample.
     pub rays_skipped_empty: u64,
+    /// Rays that faces found to be wholly hidden did not get, though their visible neighbours did.
+    pub rays_skipped_buried: u64,
+    /// Rays that the same estimated error would have cost with as many samples on every face, less those it cost.
+    pub rays_saved_adaptive: u64,
 }
 
 impl TraceSummary {
@@ -69,6 +73,8 @@ impl TraceSummary {
         self.invalid += other.invalid;
         self.rays += other.rays;
         self.rays_skipped_empty += other.rays_skipped_empty;
+        self.rays_skipped_buried += other.rays_skipped_buried;
+        self.rays_saved_adaptive += other.rays_saved_adaptive;
     }
 }
 
@@ -151,8 +157,9 @@ impl FaceMoments {
     /// The artefact's bytes: magic, channels, faces, totals, counts, sums; little-endian.
     pub fn to_bytes(&self) -> Vec<u8> {
         let s = &self.summary;
-        let header =
-            [self.channels as u64, self.counts.len() as u64, s.samples, s.invalid, s.rays, s.rays_skipped_empty];
+        let rays = [s.rays, s.rays_skipped_empty, s.rays_skipped_buried, s.rays_saved_adaptive];
+        let counts = [self.channels as u64, self.counts.len() as u64, s.samples, s.invalid];
+        let header = [counts, rays].concat();
         let mut bytes = MAGIC.to_vec();
         bytes.extend(header.iter().flat_map(|v| v.to_le_bytes()));
         bytes.extend_from_slice(cast_slice(&self.counts));
@@ -164,12 +171,13 @@ impl FaceMoments {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MomentsError> {
         let error = |reason| MomentsError { reason };
         let body = bytes.strip_prefix(&MAGIC).ok_or(error("the magic number is missing"))?;
-        let (header, body) = body.split_at_checked(48).ok_or(error("the header is cut short"))?;
-        let mut fields = [0u64; 6];
+        let (header, body) = body.split_at_checked(64).ok_or(error("the header is cut short"))?;
+        let mut fields = [0u64; 8];
         for (field, chunk) in fields.iter_mut().zip(header.chunks_exact(8)) {
             *field = u64::from_le_bytes(chunk.try_into().map_err(|_| error("the header is cut short"))?);
         }
-        let [channels, faces, samples, invalid, rays, rays_skipped_empty] = fields;
+        let [channels, faces, samples, invalid, rays, rays_skipped_empty, rays_skipped_buried, rays_saved_adaptive] =
+            fields;
         if !(1..=MAX_CHANNELS as u64).contains(&channels) {
             return Err(error("the number of channels is out of range"));
         }
@@ -178,12 +186,17 @@ impl FaceMoments {
             return Err(error("the size does not match the number of faces"));
         }
         let (counts, sums) = body.split_at(faces as usize * 16);
+        let counts: Vec<[u32; 4]> = pod_collect_to_vec(counts);
+        if counts.iter().any(|[a, of_a, b, of_b]| a > of_a || b > of_b) {
+            return Err(error("a face has more valid samples than samples"));
+        }
         let sums: Vec<f32> = pod_collect_to_vec(sums);
         if !sums.iter().all(|v| v.is_finite()) {
             return Err(error("a sum is not finite"));
         }
-        let summary = TraceSummary { samples, invalid, rays, rays_skipped_empty };
-        Ok(Self { channels: channels as usize, sums, counts: pod_collect_to_vec(counts), summary })
+        let summary =
+            TraceSummary { samples, invalid, rays, rays_skipped_empty, rays_skipped_buried, rays_saved_adaptive };
+        Ok(Self { channels: channels as usize, sums, counts, summary })
     }
 }
 

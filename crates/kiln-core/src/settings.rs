@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 pub const MAX_CHANNELS: usize = 4;
 
 /// Weight α of the edge regulariser where none is given: the least surface error over the levels in
-/// docs/benchmarks/regularization.md. The paper's 1 smooths contact shadows away.
-pub const DEFAULT_REGULARIZATION: f64 = 0.03;
+/// docs/benchmarks/least-squares.md. The paper's 1 smooths contact shadows away.
+pub const DEFAULT_REGULARIZATION: f64 = 0.003;
 
 /// How much work a bake does, and so how small its error is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
@@ -25,7 +25,36 @@ pub enum Quality {
 }
 
 impl Quality {
-    /// Mean number of samples per face, over the faces of an instance.
+    /// RMSE of estimation that adaptive sampling aims for; a reference gets its samples whatever they find.
+    pub const fn target_rmse(self) -> Option<f64> {
+        match self {
+            Self::Low => Some(0.016),
+            Self::Medium => Some(0.006),
+            Self::High => Some(0.003),
+            Self::Reference => None,
+        }
+    }
+
+    /// Most samples per face on average that adaptive sampling gives to a piece.
+    pub const fn most_samples_per_face_on_average(self) -> f64 {
+        match self {
+            Self::Low => 8.0,
+            Self::Medium => 32.0,
+            Self::High | Self::Reference => 128.0,
+        }
+    }
+
+    /// Mean number of samples per face, over the faces of an instance, with which adaptive sampling begins.
+    pub const fn first_samples_per_face(self) -> f64 {
+        match self {
+            Self::Low => 2.0,
+            Self::Medium => 3.0,
+            Self::High => 4.0,
+            Self::Reference => 64.0,
+        }
+    }
+
+    /// Mean number of samples per face, over the faces of an instance, where sampling is not adaptive.
     pub const fn mean_samples_per_face(self) -> f64 {
         match self {
             Self::Low => 2.0,
@@ -38,9 +67,9 @@ impl Quality {
     /// Most samples of one face.
     pub const fn max_samples_per_face(self) -> u32 {
         match self {
-            Self::Low => 16,
-            Self::Medium | Self::High => 64,
-            Self::Reference => 256,
+            Self::Low => 64,
+            Self::Medium | Self::Reference => 256,
+            Self::High => 1024,
         }
     }
 
@@ -55,9 +84,8 @@ impl Quality {
     /// Rays of one sample.
     pub const fn rays_per_sample(self) -> u32 {
         match self {
-            Self::Low => 16,
-            Self::Medium | Self::High => 32,
             Self::Reference => 256,
+            _ => 16,
         }
     }
 }
@@ -106,6 +134,10 @@ pub struct BakeSettings {
     pub half_distances_m: Option<Vec<f64>>,
     /// Plain occlusion with this ray distance, metres, in place of obscurance.
     pub occlusion_ray_distance_m: Option<f64>,
+    /// RMSE at which adaptive sampling stops.
+    pub target_rmse: Option<f64>,
+    /// Every face gets the quality's samples, whatever they find. So it is too where a density is given.
+    pub fixed_samples: bool,
     /// Rays per sample, a power of two from 1 to 65,536.
     pub rays_per_sample: Option<u32>,
     /// Samples per square metre.
@@ -134,6 +166,8 @@ impl Default for BakeSettings {
             quality: Quality::default(),
             half_distances_m: None,
             occlusion_ray_distance_m: None,
+            target_rmse: None,
+            fixed_samples: false,
             rays_per_sample: None,
             density_per_m2: None,
             max_samples_per_face: None,
@@ -148,6 +182,70 @@ impl Default for BakeSettings {
     }
 }
 
+/// When adaptive sampling has enough.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Target {
+    /// RMSE of estimation, over the area of a piece that can be seen, that every half-distance should reach.
+    pub rmse: f64,
+    /// The same where samples vary so little that no more can be seen: below `rmse` in levels so small that it is cheap.
+    pub fine_rmse: f64,
+    /// Most samples per face on average in a piece, however noisy, for `rmse`; infinite if only the error counts.
+    pub samples_per_face: f64,
+    /// Area of the faces that make up most of the level, square metres: in pieces of smaller faces the target is
+    /// greater, and their share of samples smaller, by the fourth root of the areas' ratio, up to three times. Where it is
+    /// 0 the target is the same everywhere.
+    ///
+    /// At a given number of rays the error of a level is least if the samples of a face go as the root of its area.
+    pub face_area_m2: f64,
+}
+
+impl Target {
+    /// Faces of a level from which on its target is what the quality says.
+    const LARGE_LEVEL_FACES: f64 = 262_144.0;
+    /// The finest target, as a fraction of the quality's.
+    const FINEST: f64 = 0.25;
+    /// An error that cannot be seen next to what the samples vary by.
+    const PART_OF_DEVIATION: f64 = 0.05;
+    /// The coarsest, where faces are small, as a multiple.
+    const COARSEST: f64 = 3.0;
+
+    /// The target that a quality has in a level of as many faces, most of it made of faces of the given area; `None` for
+    /// a reference. What takes seconds in a small level is made finer, with the square root of the number of its faces.
+    /// Both numbers are rounded up to powers of four, so that small edits do not change the target.
+    pub fn of_quality(quality: Quality, faces: u64, face_area_m2: f64) -> Option<Self> {
+        let rmse = quality.target_rmse()?;
+        let fraction = (power_of_four(faces as f64) / Self::LARGE_LEVEL_FACES).sqrt().clamp(Self::FINEST, 1.0);
+        Some(Self {
+            rmse,
+            fine_rmse: rmse * fraction,
+            samples_per_face: quality.most_samples_per_face_on_average(),
+            face_area_m2: power_of_four(face_area_m2),
+        })
+    }
+
+    /// A target that somebody named, whatever it costs.
+    pub fn named(rmse: f64) -> Self {
+        Self { rmse, fine_rmse: rmse, samples_per_face: f64::INFINITY, face_area_m2: 0.0 }
+    }
+
+    /// What a piece aims for whose samples have this standard deviation about the values: an error far below that cannot
+    /// be seen, so the finer target is for smooth places.
+    pub fn goal(&self, deviation: f64) -> f64 {
+        (deviation * Self::PART_OF_DEVIATION).min(self.rmse).max(self.fine_rmse)
+    }
+
+    /// By how much the target of a piece is greater, whose faces have this area on average.
+    pub fn relaxed(&self, face_area_m2: f64) -> f64 {
+        let ratio = if face_area_m2 > 0.0 { self.face_area_m2 / face_area_m2 } else { 1.0 };
+        ratio.sqrt().sqrt().clamp(1.0, Self::COARSEST)
+    }
+}
+
+/// The least power of four that is not below a number; 0 where the number is not positive.
+fn power_of_four(number: f64) -> f64 {
+    if number > 0.0 && number.is_finite() { ((number.log2() / 2.0).ceil() * 2.0).exp2() } else { 0.0 }
+}
+
 /// Settings of sampling and tracing, resolved.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sampling {
@@ -155,7 +253,9 @@ pub struct Sampling {
     pub kernel: Kernel,
     /// Rays per sample, a power of two.
     pub rays_per_sample: u32,
-    /// Mean samples per face that the density is chosen for, where none is given.
+    /// When adaptive sampling has enough; without it, sampling is not adaptive.
+    pub target: Option<Target>,
+    /// Mean samples per face that the density is chosen for, where none is given. Adaptive sampling begins with these.
     pub mean_samples_per_face: f64,
     /// Samples per square metre, if fixed.
     pub density_per_m2: Option<f64>,
@@ -184,7 +284,7 @@ pub struct SolveSettings {
 
 impl Default for SolveSettings {
     fn default() -> Self {
-        Self { regularization: DEFAULT_REGULARIZATION, anchor: 1e-3, weld_degrees: 15.0 }
+        Self { regularization: DEFAULT_REGULARIZATION, anchor: 1e-3, weld_degrees: 5.0 }
     }
 }
 

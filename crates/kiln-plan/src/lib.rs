@@ -146,7 +146,7 @@ fn trace_family(receiver: &Receiver, faces: &Range<u32>, density: f64, level: &L
     for count in [s.rays_per_sample, s.min_samples_per_face, s.max_samples_per_face] {
         builder.integer(u64::from(count));
     }
-    builder.float(s.back_face_limit).integer(s.seed);
+    builder.float(s.back_face_limit).integer(s.seed).value(&s.target);
     builder.finish()
 }
 
@@ -188,6 +188,7 @@ mod tests {
             meshes: vec![mesh("wall", 2500), mesh("crate", 12)],
             instances: vec![instance(0, 0.0), instance(1, 1.0), instance(1, 2.0)],
             sampling: Sampling {
+                target: None,
                 kernel: Kernel::Obscurance { half_distances_m: vec![2.0, 300.0] },
                 rays_per_sample: 32,
                 mean_samples_per_face: 4.0,

@@ -21,6 +21,8 @@ impl From<&BakeSettings> for v1::BakeSettings {
             quality: quality.into(),
             half_distances_m: settings.half_distances_m.clone().unwrap_or_default(),
             occlusion_ray_distance_m: settings.occlusion_ray_distance_m,
+            target_rmse: settings.target_rmse,
+            fixed_samples: settings.fixed_samples,
             rays_per_sample: settings.rays_per_sample,
             density_per_m2: settings.density_per_m2,
             max_samples_per_face: settings.max_samples_per_face,
@@ -64,6 +66,7 @@ impl TryFrom<v1::BakeSettings> for BakeSettings {
             return Err(FieldError::new("max_samples_per_face", "is 0; it must be at least 1"));
         }
         settings.density_per_m2.map(|density| positive("density_per_m2", density)).transpose()?;
+        settings.target_rmse.map(|rmse| positive("target_rmse", rmse)).transpose()?;
         let back_face_limit = settings.back_face_limit.unwrap_or(default.back_face_limit);
         let regularization = settings.regularization.unwrap_or(default.regularization);
         if let Some(only) = &settings.only {
@@ -74,6 +77,8 @@ impl TryFrom<v1::BakeSettings> for BakeSettings {
             quality,
             half_distances_m: some_list(settings.half_distances_m),
             occlusion_ray_distance_m: settings.occlusion_ray_distance_m,
+            target_rmse: settings.target_rmse,
+            fixed_samples: settings.fixed_samples,
             rays_per_sample: settings.rays_per_sample,
             density_per_m2: settings.density_per_m2,
             max_samples_per_face: settings.max_samples_per_face,
@@ -208,6 +213,7 @@ mod tests {
             option::of(0.1..100.0f64),
             0.0..=1.0f64,
             0.0..10.0f64,
+            option::of(1e-4..1.0f64),
         );
         let quality = select(vec![Quality::Low, Quality::Medium, Quality::High, Quality::Reference]);
         (counts, floats, quality, option::of("[a-z*]{0,8}"), any_output()).prop_map(|(n, f, quality, only, output)| {
@@ -221,6 +227,8 @@ mod tests {
                 half_distances_m: f.0,
                 occlusion_ray_distance_m: f.1,
                 density_per_m2: f.2,
+                target_rmse: f.5,
+                fixed_samples: n.4,
                 back_face_limit: f.3,
                 regularization: f.4,
                 only,

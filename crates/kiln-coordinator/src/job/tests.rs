@@ -37,6 +37,7 @@ pub(crate) fn graph(pieces: &[u32]) -> TaskGraph {
 
 fn sampling() -> Sampling {
     Sampling {
+        target: None,
         kernel: Kernel::Occlusion { ray_distance_m: 1.0 },
         rays_per_sample: 32,
         mean_samples_per_face: 2.0,

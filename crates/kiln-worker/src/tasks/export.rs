@@ -101,21 +101,11 @@ fn summary(level: &LoadedLevel, indices: &[u32], solutions: &[Solution], warning
     }
 }
 
-/// Error over the level: instances weigh by their sampled area. The p99 is the mean of the instances', since their
-/// distributions are not kept.
+/// Error over the level for each channel.
 fn level_error(solutions: &[Solution], channels: usize) -> Vec<ErrorEstimate> {
-    let summaries = || solutions.iter().map(|solution| &solution.summary);
-    let area: f64 = summaries().map(|s| s.sampled_area_m2).sum();
     let of = |channel: usize| {
-        let mut total = ErrorEstimate::default();
-        for summary in summaries() {
-            let Some(error) = summary.error.get(channel) else { continue };
-            let weight = if area > 0.0 { summary.sampled_area_m2 / area } else { 0.0 };
-            total.rmse += weight * error.rmse * error.rmse;
-            total.p99 += weight * error.p99;
-            total.max = total.max.max(error.max);
-        }
-        ErrorEstimate { rmse: total.rmse.sqrt(), ..total }
+        let summaries = solutions.iter().map(|solution| &solution.summary);
+        ErrorEstimate::of_level(summaries.filter_map(|s| Some((s.visible_area_m2, s.error.get(channel)?))))
     };
     (0..channels).map(of).collect()
 }

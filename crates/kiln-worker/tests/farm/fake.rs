@@ -168,6 +168,7 @@ fn warning() -> Warning {
 
 fn sampling(seed: u64) -> Sampling {
     Sampling {
+        target: None,
         kernel: Kernel::Obscurance { half_distances_m: vec![1.0, 2.0] },
         rays_per_sample: 32,
         mean_samples_per_face: 2.0,
