@@ -37,7 +37,11 @@ fn scene(name: &str) -> (Arc<Scene>, DVec3) {
 
 /// Checks a point of an oracle with a tracer; what is wrong is returned, so that all are reported at once.
 fn check(oracle: &Oracle, tracer: &dyn Tracer, origin: DVec3) -> Vec<String> {
-    let point = ProbePoint { position: DVec3::from(oracle.position) - origin, normal: DVec3::from(oracle.normal) };
+    let point = ProbePoint {
+        position: DVec3::from(oracle.position) - origin,
+        normal: DVec3::from(oracle.normal),
+        geometric: None,
+    };
     let kernel = Kernel::Obscurance { half_distances_m: HALF_DISTANCES_M.to_vec() };
     let mut errors = vec![Vec::new(); HALF_DISTANCES_M.len()];
     for seed in 0..SCRAMBLES {

@@ -2,7 +2,7 @@
 //!
 //! [`import`] reads a level and its sidecar into a [`kiln_core::Level`] and its meshes; [`export`] writes the source
 //! again with the baked values added; [`read_baked`] reads what was written. All three are pure functions of bytes
-//! that [`SourceFiles`] hands out: nothing here touches a disk.
+//! that [`SourceFiles`] hands out: nothing but [`LevelFiles`], which hands out what it read, touches a disk.
 //!
 //! The document is read straight from its JSON ([`serde_json::Value`]), not through types: every error can then
 //! name its place, what Kiln doesn't know is never in the way, and export changes nothing but what it must. The
@@ -17,6 +17,7 @@ mod accessor;
 mod baked;
 mod classes;
 mod clean;
+mod disk;
 mod document;
 mod error;
 pub mod example;
@@ -39,6 +40,7 @@ mod scene;
 mod sidecar;
 
 pub use baked::{BakedPart, BakedScene, read_baked};
+pub use disk::{LevelFiles, ReadError};
 pub use document::external_files;
 pub use error::{ErrorKind, SceneError};
 pub use export::{BakedInstance, ExportRequest, Exported, export};

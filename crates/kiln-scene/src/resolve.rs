@@ -8,6 +8,7 @@ use glam::DVec3;
 use globset::{Glob, GlobMatcher};
 use kiln_core::{
     BakeSettings, Bounds, DigestBuilder, Kernel, MAX_CHANNELS, OutputSettings, Quality, Remap, Sampling, SolveSettings,
+    Target,
 };
 
 /// The grid that origins are on, metres: an edit moves the origin seldom, and its coordinates are exact.
@@ -96,20 +97,29 @@ pub(crate) fn only(settings: &BakeSettings) -> Result<Option<GlobMatcher>, Scene
     settings.only.as_ref().map(compile).transpose().map_err(error)
 }
 
-/// Resolves checked settings for a level with these bounds, which are relative to its origin.
+/// Resolves checked settings for a level with these bounds, which are relative to its origin, and as many faces in
+/// all its instances, most of them of the given area.
 pub(crate) fn resolve(
     settings: &BakeSettings,
     sidecar: &Sidecar,
     bounds: &Bounds,
+    (faces, face_area_m2): (u64, f64),
     findings: &mut Findings,
 ) -> Result<Resolved, SceneError> {
     let kernel = kernel(settings, sidecar, bounds);
     let blend = blend(settings, sidecar, kernel.channel_count(), findings)?;
     let quality = settings.quality;
     let most = settings.max_samples_per_face.unwrap_or(quality.max_samples_per_face()).next_multiple_of(2);
+    let target = if settings.fixed_samples || settings.density_per_m2.is_some() {
+        None
+    } else {
+        settings.target_rmse.map(Target::named).or_else(|| Target::of_quality(quality, faces, face_area_m2))
+    };
+    let adaptive_mean = target.map(|_| quality.first_samples_per_face());
     let sampling = Sampling {
+        target,
         rays_per_sample: settings.rays_per_sample.unwrap_or(quality.rays_per_sample()),
-        mean_samples_per_face: quality.mean_samples_per_face(),
+        mean_samples_per_face: adaptive_mean.unwrap_or(quality.mean_samples_per_face()),
         density_per_m2: settings.density_per_m2,
         min_samples_per_face: quality.min_samples_per_face().min(most),
         max_samples_per_face: most,
@@ -191,7 +201,7 @@ mod tests {
 
     fn resolved(settings: &BakeSettings, sidecar: &Sidecar, size: f64) -> Resolved {
         check(settings).unwrap();
-        resolve(settings, sidecar, &bounds(size), &mut Findings::default()).unwrap()
+        resolve(settings, sidecar, &bounds(size), (1000, 1.0), &mut Findings::default()).unwrap()
     }
 
     fn half_distances(settings: &BakeSettings, sidecar: &Sidecar, size: f64) -> Vec<f64> {
@@ -215,7 +225,7 @@ mod tests {
         assert_eq!(half_distances(&settings, &sidecar, 3.9), [0.16, 24.0]);
         assert_eq!(half_distances(&settings, &sidecar, 4.0), [0.16, 24.0]);
         assert_eq!(half_distances(&settings, &sidecar, 1000.0), [2.0, 300.0]);
-        let empty = resolve(&settings, &sidecar, &Bounds::EMPTY, &mut Findings::default()).unwrap();
+        let empty = resolve(&settings, &sidecar, &Bounds::EMPTY, (0, 0.0), &mut Findings::default()).unwrap();
         assert_eq!(empty.sampling.kernel, Kernel::Obscurance { half_distances_m: vec![2.0, 300.0] });
         sidecar.half_distances_m = Some(vec![5.0]);
         assert_eq!(half_distances(&settings, &sidecar, 4.0), [5.0]);
@@ -231,11 +241,11 @@ mod tests {
         assert_eq!(resolved(&settings, &sidecar, 4.0).output.blend, Some(vec![0.25, 0.75]));
         settings.half_distances_m = Some(vec![1.0, 2.0, 3.0, 4.0]);
         let mut findings = Findings::default();
-        let output = resolve(&settings, &sidecar, &bounds(4.0), &mut findings).unwrap().output;
+        let output = resolve(&settings, &sidecar, &bounds(4.0), (1000, 1.0), &mut findings).unwrap().output;
         assert_eq!(output.blend, Some(vec![0.25; 4]));
         assert_eq!(findings.into_warnings()[0].code, "unused_blend");
         settings.output.blend = Some(vec![1.0]);
-        assert!(resolve(&settings, &sidecar, &bounds(4.0), &mut Findings::default()).is_err());
+        assert!(resolve(&settings, &sidecar, &bounds(4.0), (1000, 1.0), &mut Findings::default()).is_err());
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Import: source files and settings to a level and its meshes.
 
+mod recentre;
 #[cfg(test)]
 mod robustness;
 #[cfg(test)]
@@ -11,12 +12,13 @@ use crate::{
     extensions::check_required,
     findings::{Finding, Findings},
     gather::{Gathered, Rules, Variant, gather},
+    import::recentre::recentre,
     limits,
     mesh::{Built, Tally, build},
     resolve::{Resolved, check, only, origin, resolve},
     scene::placements,
 };
-use glam::{DAffine3, DVec3};
+use glam::{DAffine3, DVec3, Vec3};
 use kiln_core::{
     Attribute, BakeSettings, Bounds, Class, Digest, Instance, Level, LevelCounts, Mesh, MeshEntry, OutputSettings,
     ValueFormat, codec,
@@ -77,7 +79,7 @@ pub fn import(
     let origin_m = origin(&world);
     let bounds = Bounds { min: world.min - origin_m, max: world.max - origin_m };
     check_extent(level_name, &bounds)?;
-    let resolved = resolve(settings, &sidecar, &bounds, &mut findings)?;
+    let resolved = resolve(settings, &sidecar, &bounds, faces(&gathered, &cast), &mut findings)?;
     let import = assemble(gathered, cast, origin_m, bounds, resolved, findings);
     check_output_size(level_name, level_bytes.len(), &import.level)?;
     Ok(import)
@@ -97,12 +99,49 @@ fn check_only(settings: &BakeSettings, gathered: &Gathered<'_>) -> Result<(), Sc
 /// What became of a variant.
 struct Cast {
     entry: MeshEntry,
+    /// Where the mesh's own origin is in the object space of the file.
+    center: DVec3,
     bytes: Vec<u8>,
     /// Faces for each class.
     classes: BTreeMap<Class, u64>,
+    areas: Areas,
     /// Bounds of all its instances in the file's world, metres.
     world_bounds: Bounds,
     tally: Tally,
+}
+
+/// How many faces all instances have, and the area of those that make up most of the level, square metres: the mean by
+/// area, distant scenery apart.
+fn faces(gathered: &Gathered<'_>, cast: &[Cast]) -> (u64, f64) {
+    let (mut faces, mut area, mut squares) = (0u64, 0.0, 0.0);
+    for (variant, cast) in gathered.variants.iter().zip(cast) {
+        for &instance in &variant.instances {
+            let matrix = gathered.instances[instance].world_from_object.matrix3;
+            let scale = matrix.determinant().abs().cbrt().powi(2);
+            faces = faces.saturating_add(u64::from(cast.entry.face_count));
+            area += scale * cast.areas.sum;
+            squares += scale * scale * cast.areas.squares;
+        }
+    }
+    (faces, if area > 0.0 { squares / area } else { 0.0 })
+}
+
+/// Areas of the faces of a mesh that receive, distant scenery apart.
+#[derive(Clone, Copy, Debug, Default)]
+struct Areas {
+    sum: f64,
+    squares: f64,
+}
+
+impl Areas {
+    fn new(mesh: &Mesh) -> Self {
+        let counts = |face: &usize| mesh.group(*face).receives && mesh.group(*face).class != Class::Distant;
+        (0..mesh.faces.len()).filter(counts).fold(Self::default(), |areas, face| {
+            let [a, b, c] = mesh.corners(face).map(Vec3::as_dvec3);
+            let area = 0.5 * (b - a).cross(c - a).length();
+            Self { sum: areas.sum + area, squares: areas.squares + area * area }
+        })
+    }
 }
 
 /// Reads, cleans and encodes every variant, in parallel; the first error in the order of variants counts.
@@ -113,7 +152,10 @@ fn cast_all(gathered: &Gathered<'_>, drop_bad_faces: bool) -> Result<Vec<Cast>, 
 }
 
 fn cast(variant: &Variant<'_>, built: Built, gathered: &Gathered<'_>) -> Cast {
-    let Built { mesh, blocks, bounds, tally } = built;
+    let Built { mut mesh, blocks, mut bounds, tally } = built;
+    let transforms = variant.instances.iter().map(|&index| &gathered.instances[index].world_from_object);
+    let world_bounds = world_bounds(&mesh, transforms);
+    let center = recentre(&mut mesh, &mut bounds);
     let bytes = codec::encode(&mesh);
     let entry = MeshEntry {
         digest: Digest::of(&bytes),
@@ -124,13 +166,11 @@ fn cast(variant: &Variant<'_>, built: Built, gathered: &Gathered<'_>) -> Cast {
         source_mesh: variant.source_mesh as u32,
         blocks,
     };
-    let transforms = variant.instances.iter().map(|&index| &gathered.instances[index].world_from_object);
-    let world_bounds = world_bounds(&mesh, transforms);
     let mut classes = BTreeMap::new();
     for face in 0..mesh.faces.len() {
         *classes.entry(mesh.group(face).class).or_default() += 1;
     }
-    Cast { entry, bytes, classes, world_bounds, tally }
+    Cast { entry, center, bytes, classes, areas: Areas::new(&mesh), world_bounds, tally }
 }
 
 /// Bounds of a mesh's faces under several transforms.
@@ -181,7 +221,7 @@ fn assemble(
     let mut index_of = vec![None; cast.len()];
     let (mut entries, mut meshes) = (Vec::new(), Vec::new());
     let mut known = BTreeSet::new();
-    let mut classes = Vec::new();
+    let (mut classes, mut centers) = (Vec::new(), Vec::new());
     for (variant, cast) in cast.into_iter().enumerate().filter(|(_, cast)| cast.entry.face_count > 0) {
         index_of[variant] = Some(entries.len());
         if known.insert(cast.entry.digest) {
@@ -191,12 +231,14 @@ fn assemble(
         }
         entries.push(cast.entry);
         classes.push(cast.classes);
+        centers.push(cast.center);
     }
     let mut instances: Vec<Instance> = Vec::with_capacity(gathered.instances.len());
     for mut instance in gathered.instances {
         let Some(mesh) = index_of[instance.mesh as usize] else { continue };
         instance.mesh = mesh as u32;
         instance.world_from_object.translation -= origin_m;
+        instance.world_from_object.translation += instance.world_from_object.matrix3 * centers[mesh];
         counts.instances += 1;
         counts.vertices += u64::from(entries[mesh].vertex_count);
         counts.faces += u64::from(entries[mesh].face_count);

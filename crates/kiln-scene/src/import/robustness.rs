@@ -46,7 +46,7 @@ fn golden_import() {
     let import = rich().import().unwrap();
     let digest = Digest::of(&codec::encode(&import.level));
     assert_eq!(import.level.instances.len(), 3);
-    assert_eq!(digest.to_string(), "d490d8bd8c0c4420637dd980b9835a8c0a02f328c160d18c04a2d0349b0bcca2");
+    assert_eq!(digest.to_string(), "812019265c8fb5c52f040df290539a12c78261c6c4fba0e800d28da2ebac39c9");
 }
 
 proptest! {
