@@ -8,7 +8,7 @@ pub(crate) use bake::BakeArgs;
 pub(crate) use farm::{
     CancelArgs, FarmAddress, FetchArgs, LsArgs, RoleChoice, ServeArgs, SubmitArgs, WatchArgs, WorkerArgs,
 };
-pub(crate) use tools::{CheckArgs, CompareArgs, ExampleArgs, ProbeArgs, ViewArgs};
+pub(crate) use tools::{BenchArgs, CheckArgs, CompareArgs, ExampleArgs, ProbeArgs, ViewArgs};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
@@ -84,6 +84,7 @@ pub(crate) enum Command {
     Fetch(FetchArgs),
     Cancel(CancelArgs),
     Ls(LsArgs),
+    Bench(BenchArgs),
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! One module for each command.
 
 pub(crate) mod bake;
+pub(crate) mod bench;
 pub(crate) mod cancel;
 pub(crate) mod check;
 pub(crate) mod compare;

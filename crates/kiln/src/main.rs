@@ -54,6 +54,7 @@ fn run(cli: Cli) -> Result<(), Failure> {
         Command::Fetch(args) => commands::fetch::run(&args, &common),
         Command::Cancel(args) => commands::cancel::run(&args, &common),
         Command::Ls(args) => commands::ls::run(&args, &common),
+        Command::Bench(args) => commands::bench::run(&args, &common),
     }
 }
 

@@ -1,12 +1,12 @@
 //! report.json: what was done, how well, and how long it took. The schema is in docs/report.md.
 
-use kiln_core::{BakeSettings, BakeSummary, ComponentMethod, Digest, Warning};
+use kiln_core::{BakeSettings, BakeSummary, ComponentMethod, Digest, ErrorEstimate, Warning};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
 /// Version of the schema.
-pub(crate) const SCHEMA: u32 = 1;
+pub(crate) const SCHEMA: u32 = 2;
 
 /// One stage of a bake.
 #[derive(Clone, Debug, Serialize)]
@@ -47,7 +47,6 @@ pub(crate) struct Run<'a> {
 
 /// The whole report.
 pub(crate) fn report(summary: &BakeSummary, run: &Run<'_>) -> Value {
-    let channel = |f: &dyn Fn(&kiln_core::ErrorEstimate) -> f64| summary.error.iter().map(f).collect::<Vec<f64>>();
     let hits = run.cache.values().map(|c| c.hits).sum::<u64>();
     let misses = run.cache.values().map(|c| c.misses).sum::<u64>();
     json!({
@@ -67,12 +66,16 @@ pub(crate) fn report(summary: &BakeSummary, run: &Run<'_>) -> Value {
         "samples": { "total": summary.trace.samples, "invalid": summary.trace.invalid },
         "rays": {
             "traced": summary.trace.rays,
-            "saved_by": { "empty_hemisphere": summary.trace.rays_skipped_empty },
+            "saved_by": {
+                "empty_hemisphere": summary.trace.rays_skipped_empty,
+                "buried_faces": summary.trace.rays_skipped_buried,
+                "adaptive_sampling": summary.trace.rays_saved_adaptive,
+            },
         },
         "stages": run.stages,
         "seconds": run.seconds,
         "peak_memory_bytes": peak_memory_bytes(),
-        "error_estimate": { "rmse": channel(&|e| e.rmse), "p99": channel(&|e| e.p99), "max": channel(&|e| e.max) },
+        "error_estimate": errors(&summary.error),
         "solve": solves(summary),
         "meshes": meshes(summary),
         "cache": {
@@ -81,6 +84,12 @@ pub(crate) fn report(summary: &BakeSummary, run: &Run<'_>) -> Value {
         "warnings": summary.warnings,
         "outputs": run.outputs.iter().map(|o| json!({ "path": o.path, "digest": o.digest.to_string(), "bytes": o.bytes })).collect::<Vec<_>>(),
     })
+}
+
+/// Estimated error, one number for each half-distance.
+fn errors(estimates: &[ErrorEstimate]) -> Value {
+    let channel = |f: &dyn Fn(&ErrorEstimate) -> f64| estimates.iter().map(f).collect::<Vec<f64>>();
+    json!({ "rmse": channel(&|e| e.rmse), "p99": channel(&|e| e.p99), "max": channel(&|e| e.max) })
 }
 
 /// One entry for each instance that was solved.
@@ -104,7 +113,7 @@ fn meshes(summary: &BakeSummary) -> Vec<Value> {
         json!({
             "node": mesh.node, "mesh": mesh.mesh,
             "samples": mesh.solve.trace.samples, "invalid": mesh.solve.trace.invalid,
-            "sampled_area_m2": mesh.solve.sampled_area_m2, "error_estimate": mesh.solve.error,
+            "visible_area_m2": mesh.solve.visible_area_m2, "error_estimate": errors(&mesh.solve.error),
         })
     };
     summary.meshes.iter().map(one).collect()

@@ -54,10 +54,16 @@ pub(crate) struct SettingsArgs {
     /// With --kernel occlusion: hits beyond this many metres do not count [default: infinite]
     #[arg(long, value_name = "METRES")]
     pub(crate) ray_distance: Option<f64>,
+    /// Error of estimation at which a place has enough samples [default: the quality's: low .016, medium .006, high .003]
+    #[arg(long, value_name = "X", conflicts_with_all = ["fixed_samples", "density"])]
+    pub(crate) target_rmse: Option<f64>,
+    /// Give every face the quality's samples, whatever they find
+    #[arg(long)]
+    pub(crate) fixed_samples: bool,
     /// Rays per sample, a power of two
     #[arg(long, value_name = "N")]
     pub(crate) rays: Option<u32>,
-    /// Samples per square metre
+    /// Samples per square metre, whatever they find
     #[arg(long, value_name = "S")]
     pub(crate) density: Option<f64>,
     /// Most samples of one face
@@ -188,6 +194,7 @@ impl SettingsArgs {
         }
         positive("--ray-distance", self.ray_distance, true)?;
         positive("--density", self.density, false)?;
+        positive("--target-rmse", self.target_rmse, false)?;
         if self.max_samples_per_face.is_some_and(|n| !(2..=65_536).contains(&n)) {
             return Err(Failure::usage("--max-samples-per-face: choose a number from 2 to 65536"));
         }
@@ -204,6 +211,8 @@ impl SettingsArgs {
             quality: self.quality.into(),
             half_distances_m: self.half_distance.0.clone(),
             occlusion_ray_distance_m: occlusion.then(|| self.ray_distance.unwrap_or(f64::INFINITY)),
+            target_rmse: self.target_rmse,
+            fixed_samples: self.fixed_samples,
             rays_per_sample: self.rays,
             density_per_m2: self.density,
             max_samples_per_face: self.max_samples_per_face,

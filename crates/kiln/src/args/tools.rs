@@ -33,7 +33,8 @@ pub(crate) struct CompareArgs {
 #[derive(Args, Debug)]
 #[command(after_help = "Examples:
   kiln probe level.glb --points points.json --half-distance 2,300 --rays 4096 --json
-points.json: {\"points\": [{\"position\": [x, y, z], \"normal\": [x, y, z]}]}, metres in world space, moved off the surface")]
+points.json: {\"points\": [{\"position\": [x, y, z], \"normal\": [x, y, z]}]}, metres in world space, moved off the surface;
+\"geometric_normal\": [x, y, z] beside them leaves out directions below the surface. `kiln bench accuracy --points-out` writes such files")]
 pub(crate) struct ProbeArgs {
     /// The level: .glb or .gltf
     pub(crate) level: PathBuf,
@@ -78,6 +79,13 @@ pub(crate) struct ViewArgs {
     /// Width and height of the picture, pixels
     #[arg(long, value_name = "WxH", default_value = "1280x800", value_parser = parse_size)]
     pub(crate) size: [u32; 2],
+}
+
+/// Measures Kiln: error against time and rays, the solver beside others.
+#[derive(Args, Debug)]
+pub(crate) struct BenchArgs {
+    #[command(subcommand)]
+    pub(crate) bench: kiln_bench::Bench,
 }
 
 /// Makes an example level by code.

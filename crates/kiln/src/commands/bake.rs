@@ -64,7 +64,7 @@ async fn follow(
     progress: &mut Progress,
 ) -> Result<Outcome, Failure> {
     cancel_left_over(farm).await?;
-    let name = source.name.clone();
+    let name = source.name().to_owned();
     let (manifest, files) = source.submission(settings.clone());
     let submission = Submission {
         request_id: super::submit::unique_id(),

@@ -30,7 +30,7 @@ pub(crate) fn run(args: &CheckArgs, common: &Common) -> Result<(), Failure> {
     super::use_threads(common)?;
     let source = Source::read(&args.level, args.settings.sidecar.as_deref())?;
     let settings = args.settings.resolve()?;
-    let import = kiln_scene::import(&source.name, &source, source.sidecar(), &settings).map_err(Failure::refused)?;
+    let import = kiln_scene::import(source.name(), &source, source.sidecar(), &settings).map_err(Failure::refused)?;
     let estimate = estimate(&import, common.thread_count()).map_err(anyhow::Error::from)?;
     print(&import.level, &estimate, common);
     Ok(())

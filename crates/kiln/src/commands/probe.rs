@@ -13,8 +13,8 @@ use kiln_worker::tasks::LoadedLevel;
 use serde::Deserialize;
 use std::{fs, path::Path, sync::Arc};
 
+/// What else is in the file, such as what `kiln bench accuracy --points-out` writes, is left alone.
 #[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
 struct PointsFile {
     points: Vec<Point>,
 }
@@ -23,6 +23,8 @@ struct PointsFile {
 struct Point {
     position: [f64; 3],
     normal: [f64; 3],
+    /// Normal of the surface, if it is another: directions below it are left out.
+    geometric_normal: Option<[f64; 3]>,
 }
 
 pub(crate) fn run(args: &ProbeArgs, common: &Common) -> Result<(), Failure> {
@@ -30,7 +32,7 @@ pub(crate) fn run(args: &ProbeArgs, common: &Common) -> Result<(), Failure> {
     let points = read_points(&args.points)?;
     let source = Source::read(&args.level, args.sidecar.as_deref())?;
     let settings = BakeSettings { half_distances_m: args.half_distance.0.clone(), ..BakeSettings::default() };
-    let import = kiln_scene::import(&source.name, &source, source.sidecar(), &settings).map_err(Failure::refused)?;
+    let import = kiln_scene::import(source.name(), &source, source.sidecar(), &settings).map_err(Failure::refused)?;
     let decode = |blob: &kiln_scene::MeshBlob| Ok((blob.digest, Arc::new(codec::decode("a mesh", &blob.bytes)?)));
     let by_digest: std::collections::BTreeMap<Digest, _> =
         import.meshes.iter().map(decode).collect::<Result<_, codec::DecodeError>>().map_err(anyhow::Error::from)?;
@@ -42,7 +44,11 @@ pub(crate) fn run(args: &ProbeArgs, common: &Common) -> Result<(), Failure> {
     let origin = level.level.origin_m;
     let relative: Vec<ProbePoint> = points
         .iter()
-        .map(|p| ProbePoint { position: DVec3::from(p.position) - origin, normal: DVec3::from(p.normal) })
+        .map(|p| ProbePoint {
+            position: DVec3::from(p.position) - origin,
+            normal: DVec3::from(p.normal),
+            geometric: p.geometric_normal.map(DVec3::from),
+        })
         .collect();
     let kernel = &level.level.sampling.kernel;
     let results = probe(&**tracer, &relative, kernel, args.rays, args.seed).map_err(anyhow::Error::from)?;
@@ -57,9 +63,11 @@ fn read_points(path: &Path) -> Result<Vec<Point>, Failure> {
     let text = fs::read_to_string(path).map_err(|error| refuse(error.to_string()))?;
     let file: PointsFile = serde_json::from_str(&text).map_err(|error| refuse(error.to_string()))?;
     for (index, point) in file.points.iter().enumerate() {
-        let is_finite = point.position.iter().chain(&point.normal).all(|x| x.is_finite());
-        if !is_finite || DVec3::from(point.normal).length() <= 0.0 {
-            return Err(refuse(format!("points[{index}] needs a finite position and a normal that is not zero")));
+        let normals = || [Some(point.normal), point.geometric_normal].into_iter().flatten();
+        let is_finite =
+            DVec3::from(point.position).is_finite() && normals().all(|normal| DVec3::from(normal).is_finite());
+        if !is_finite || normals().any(|normal| DVec3::from(normal).length() <= 0.0) {
+            return Err(refuse(format!("points[{index}] needs a finite position and normals that are not zero")));
         }
     }
     Ok(file.points)

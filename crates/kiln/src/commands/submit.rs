@@ -18,7 +18,7 @@ async fn submit(args: &SubmitArgs, common: &Common) -> Result<(), Failure> {
     let started = Instant::now();
     let settings = args.settings.resolve()?;
     let source = Source::read(&args.level, args.settings.sidecar.as_deref())?;
-    let name = source.name.clone();
+    let name = source.name().to_owned();
     let (manifest, files) = source.submission(settings.clone());
     let submission = Submission {
         request_id: args.request_id.clone().unwrap_or_else(unique_id),
