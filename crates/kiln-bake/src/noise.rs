@@ -24,7 +24,8 @@ const UNKNOWN_VARIANCE: f64 = 0.04;
 pub(crate) struct Noise {
     /// Variance of one sample about the fit, the greatest of the channels', from the face and those around it.
     pub(crate) variance: Vec<f64>,
-    /// The part of a face's samples that are valid.
+    /// The part of a face that can be seen, as far as its samples and those around it tell: 0 only where none of them is
+    /// valid, for a face that has missed its visible part so far must not be given up.
     pub(crate) visible: Vec<f64>,
 }
 
@@ -48,9 +49,30 @@ impl Noise {
             corners.iter().for_each(|vertex| pooled.add(&around[*vertex as usize]));
             pooled.variances().into_iter().fold(0.0, f64::max)
         });
-        let visible = moments.iter().map(|half| f64::from(half.valid) / f64::from(half.taken.max(1)));
-        Self { variance: variance.collect(), visible: visible.collect() }
+        let variance = variance.collect();
+        Self { variance, visible: visible(moments, corners, around.len()) }
     }
+}
+
+/// The part of each face that can be seen: of its samples, with those of the faces around it as one more.
+fn visible(moments: &[&HalfMoments], corners: &[[u32; 3]], vertices: usize) -> Vec<f64> {
+    let mut around = vec![[0.0; 2]; vertices];
+    for (corners, half) in corners.iter().zip(moments) {
+        for vertex in corners {
+            let [valid, taken] = &mut around[*vertex as usize];
+            *valid += f64::from(half.valid);
+            *taken += f64::from(half.taken);
+        }
+    }
+    let of_face = |(corners, half): (&[u32; 3], &&HalfMoments)| {
+        let [valid, taken] = corners
+            .map(|vertex| around[vertex as usize])
+            .into_iter()
+            .fold([0.0; 2], |sum, of| [sum[0] + of[0], sum[1] + of[1]]);
+        let surroundings = if taken > 0.0 { valid / taken } else { 0.0 };
+        (f64::from(half.valid) + surroundings) / (f64::from(half.taken) + 1.0)
+    };
+    corners.iter().zip(moments).map(of_face).collect()
 }
 
 /// What a fit leaves: squares for each channel, and the degrees of freedom that they have.

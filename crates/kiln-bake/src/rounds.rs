@@ -110,6 +110,8 @@ impl<'a> Rounds<'a> {
     /// Counts the rays that were not needed.
     fn account(&self, sampler: &mut Sampler<'_>) {
         let noise = [0, 1].map(|half| self.noise(&sampler.halves, half));
+        let is_buried = |halves: &[HalfMoments; 2]| halves.iter().all(|half| half.valid == 0);
+        let buried: Vec<bool> = sampler.halves.iter().map(is_buried).collect();
         for (half, noise) in noise.iter().enumerate() {
             let taken = taken(&sampler.halves, half);
             let shares = Shares { rounds: self, noise, taken: &taken };
@@ -121,7 +123,7 @@ impl<'a> Rounds<'a> {
             sampler.summary.rays_saved_adaptive += (uniform - rays).max(0.0).round() as u64;
             let mean = rays / each.max(1.0);
             for (face, count) in taken.iter().enumerate().filter(|(_, count)| **count > 0) {
-                if noise.visible[face] == 0.0 {
+                if buried[face] {
                     let missing = (mean - f64::from(*count)).max(0.0) * self.rays_per_position[face] as f64;
                     sampler.summary.rays_skipped_buried += missing.round() as u64;
                 }
