@@ -24,8 +24,9 @@ const UNKNOWN_VARIANCE: f64 = 0.04;
 pub(crate) struct Noise {
     /// Variance of one sample about the fit, the greatest of the channels', from the face and those around it.
     pub(crate) variance: Vec<f64>,
-    /// The part of a face that can be seen, as far as its samples and those around it tell: 0 only where none of them is
-    /// valid, for a face that has missed its visible part so far must not be given up.
+    /// The part of a face that can be seen, as far as its samples and those around it tell. It falls with every hidden
+    /// sample but is 0 only where the whole piece is hidden: a face whose samples have missed its visible part so far must
+    /// not be given up at once.
     pub(crate) visible: Vec<f64>,
 }
 
@@ -54,7 +55,8 @@ impl Noise {
     }
 }
 
-/// The part of each face that can be seen: of its samples, with those of the faces around it as one more.
+/// The part of each face that can be seen: of its samples, with those of the faces around it as one more, and among those
+/// the whole piece as one more.
 fn visible(moments: &[&HalfMoments], corners: &[[u32; 3]], vertices: usize) -> Vec<f64> {
     let mut around = vec![[0.0; 2]; vertices];
     for (corners, half) in corners.iter().zip(moments) {
@@ -64,12 +66,14 @@ fn visible(moments: &[&HalfMoments], corners: &[[u32; 3]], vertices: usize) -> V
             *taken += f64::from(half.taken);
         }
     }
+    let total = |count: fn(&HalfMoments) -> u32| moments.iter().map(|half| f64::from(count(half))).sum::<f64>();
+    let piece = total(|half| half.valid) / total(|half| half.taken).max(1.0);
     let of_face = |(corners, half): (&[u32; 3], &&HalfMoments)| {
         let [valid, taken] = corners
             .map(|vertex| around[vertex as usize])
             .into_iter()
             .fold([0.0; 2], |sum, of| [sum[0] + of[0], sum[1] + of[1]]);
-        let surroundings = if taken > 0.0 { valid / taken } else { 0.0 };
+        let surroundings = (valid + piece) / (taken + 1.0);
         (f64::from(half.valid) + surroundings) / (f64::from(half.taken) + 1.0)
     };
     corners.iter().zip(moments).map(of_face).collect()
