@@ -4,7 +4,8 @@ use glam::Vec3;
 use kiln_core::{HalfMoments, MAX_CHANNELS, Mesh};
 use std::{collections::BTreeMap, ops::Range};
 
-/// Faces of a piece at one position whose normals are within this angle's cosine share a vertex (15°, as in the solve).
+/// Faces of a piece at one position whose normals are within this angle's cosine share a vertex: 15°, wider than in the
+/// solve, because noise is pooled here and needs neighbours more than it fears creases.
 const WELD_COSINE: f64 = 0.965_925_826_289_068_3;
 
 /// Steps towards the least-squares fit from the local averages.
