@@ -52,7 +52,7 @@ fn an_example_is_baked_reported_and_pictured() {
     assert!(place.read("p.png").starts_with(b"\x89PNG"));
 
     let report = place.json("r.json");
-    assert_eq!(report["schema"], 2);
+    assert_eq!(report["schema"], 3);
     assert_eq!(report["backend"]["trace"], "cpu");
     assert_eq!(report["cache"]["hits"], 0);
     assert!(report["samples"]["total"].as_u64() > Some(50_000));

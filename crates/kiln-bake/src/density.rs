@@ -98,6 +98,7 @@ mod tests {
             back_face_limit: 0.25,
             seed: 0,
             ground_plane_y_m: None,
+            no_skip: std::collections::BTreeSet::new(),
         }
     }
 

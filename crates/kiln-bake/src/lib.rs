@@ -11,7 +11,9 @@ mod probe;
 mod rounds;
 mod samples;
 mod scramble;
+mod seen;
 
 pub use density::{FaceAreas, density, sample_count};
 pub use piece::{Piece, trace_piece};
 pub use probe::{ProbePoint, ProbeResult, probe};
+pub use seen::seen_bounds;

@@ -56,6 +56,14 @@ impl Noise {
     }
 }
 
+impl Noise {
+    /// Takes faces for visible whose samples are all hidden, so that they get as many as their neighbours.
+    pub(crate) fn see_hidden(&mut self, moments: &[&HalfMoments]) {
+        let hidden = self.visible.iter_mut().zip(moments).filter(|(_, half)| half.valid == 0);
+        hidden.for_each(|(visible, _)| *visible = 1.0);
+    }
+}
+
 /// The part of each face that can be seen: of its samples, with those of the faces around it as one more, and among those
 /// the whole piece as one more.
 fn visible(moments: &[&HalfMoments], corners: &[[u32; 3]], vertices: usize) -> Vec<f64> {

@@ -5,9 +5,9 @@ use crate::{
     rounds::Rounds,
     samples::{Position, SampleMaker},
 };
-use glam::DAffine3;
-use kiln_core::{FaceMoments, HalfMoments, Mesh, Sampling, TraceSummary};
-use kiln_trace::{CosineSums, KernelRates, Scene, SurfaceSample, TraceError, Tracer, is_open_above};
+use glam::{DAffine3, Vec3};
+use kiln_core::{Bounds, FaceMoments, HalfMoments, Mesh, Sampling, SkipRule, TraceSummary};
+use kiln_trace::{CosineSums, KernelRates, Scene, SurfaceSample, TraceError, Tracer, is_open_above, open_sums};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -23,6 +23,9 @@ pub struct Piece<'a> {
     pub density_per_m2: f64,
     /// How samples are made.
     pub sampling: &'a Sampling,
+    /// A box around all that the rays may come to, metres, to count those that end before they have crossed it; empty if
+    /// nobody wants to know.
+    pub occluders_m: Bounds,
 }
 
 /// Traces a piece. `scene` is what the tracer traces, for the test that leaves out samples that see nothing.
@@ -74,7 +77,7 @@ impl<'a> Sampler<'a> {
             scene,
             piece,
             maker: SampleMaker::new(piece.mesh, piece.world_from_object, sampling.seed, sampling.rays_per_sample),
-            kernel: KernelRates::new(&sampling.kernel),
+            kernel: KernelRates::of(sampling),
             halves: vec![[HalfMoments::default(); 2]; piece.faces.len()],
             summary: TraceSummary::default(),
         }
@@ -108,25 +111,36 @@ impl<'a> Sampler<'a> {
         (0..wanted.len()).into_par_iter().flat_map_iter(face).collect()
     }
 
+    /// Whether rays from a point may end before they have crossed all that there is.
+    fn is_cut(&self, origin: Vec3) -> bool {
+        let Bounds { min, max } = &self.piece.occluders_m;
+        let origin = origin.as_dvec3();
+        let furthest = (origin - *min).abs().max((*max - origin).abs());
+        !self.piece.occluders_m.is_empty() && furthest.length() > f64::from(self.kernel.t_max)
+    }
+
     /// Gathers the samples that may see something; the others are open without a ray.
     fn gather(&mut self, samples: &[SurfaceSample]) -> Result<Vec<CosineSums>, TraceError> {
         let rays = self.piece.sampling.rays_per_sample;
-        let open =
-            |sample: &SurfaceSample| is_open_above(self.scene, sample.origin, sample.geometric, self.kernel.t_max);
-        let is_open: Vec<bool> = samples.par_iter().with_min_len(64).map(open).collect();
+        let skips_empty = self.piece.sampling.skips(SkipRule::Empty);
+        let known = |sample: &SurfaceSample| {
+            let is_open = skips_empty && is_open_above(self.scene, sample.origin, sample.geometric, self.kernel.t_max);
+            is_open.then(|| open_sums(sample, rays))
+        };
+        let known: Vec<Option<CosineSums>> = samples.par_iter().with_min_len(64).map(known).collect();
         let closed: Vec<SurfaceSample> =
-            samples.iter().zip(&is_open).filter(|&(_, &open)| !open).map(|(&sample, _)| sample).collect();
+            samples.iter().zip(&known).filter(|(_, known)| known.is_none()).map(|(sample, _)| *sample).collect();
         let mut gathered = vec![CosineSums::default(); closed.len()];
         self.tracer.gather_cosine(&closed, &self.kernel, rays, &mut gathered)?;
 
         self.summary.samples += samples.len() as u64;
         self.summary.rays += closed.len() as u64 * u64::from(rays);
+        let cut = closed.iter().filter(|sample| self.is_cut(sample.origin)).count() as u64;
+        self.summary.rays_cut += cut * u64::from(rays);
         self.summary.rays_skipped_empty += (samples.len() - closed.len()) as u64 * u64::from(rays);
-        let open_sums = CosineSums { values: [kiln_trace::ONE * rays; 4], rays, back_faces: 0 };
         let mut gathered = gathered.into_iter();
-        let sums =
-            is_open.iter().map(|&open| if open { open_sums } else { gathered.next().unwrap_or_default() }).collect();
-        Ok(sums)
+        let sums = known.into_iter().map(|known| known.or_else(|| gathered.next()).unwrap_or_default());
+        Ok(sums.collect())
     }
 }
 

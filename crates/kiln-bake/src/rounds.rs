@@ -11,15 +11,18 @@
 
 use crate::{noise::Noise, piece::Piece, piece::Sampler};
 use glam::Vec3;
-use kiln_core::{HalfMoments, Target};
+use kiln_core::{HalfMoments, SkipRule, Target};
 use kiln_trace::TraceError;
 
-/// Error of the values after the solve against that of one face's mean: what neighbours and the regulariser share, what
-/// stratification gains, and what a fit loses. Measured: docs/benchmarks/sampling.md.
-const SHARED: f64 = 0.7;
+/// The square of a fit's error is `FITTED · leverage · variance / n^FALL` for n samples of a half on every face: they are
+/// stratified in position and direction, so it falls faster than 1 / n. Measured: docs/benchmarks/sampling.md.
+const FITTED: f64 = 0.9;
 
-/// A class may cap the positions on a face; past the cap they are used again with further directions, so many times.
-const RAYS_PAST_CAP: u32 = 16;
+/// See [`FITTED`].
+const FALL: f64 = 1.25;
+
+/// A class's cap counts samples of so many rays (Sloan et al. 2013): of fewer rays, as many more.
+const RAYS_OF_CAPPED_SAMPLE: u32 = 256;
 
 /// A round gives a face at most so many times its samples: what few samples say of the noise is itself noisy.
 const GROWTH: u32 = 4;
@@ -32,18 +35,23 @@ pub(crate) struct Rounds<'a> {
     target: &'a Target,
     /// Area of each face, square metres.
     areas: Vec<f64>,
+    /// How much of the noise of its own samples a face's values keep: [`leverage`].
+    leverage: Vec<f64>,
     /// Most samples of one half of each face.
     caps: Vec<u32>,
     /// The corners of each face, as vertices of the piece.
     corners: Vec<[u32; 3]>,
     rays_per_position: Vec<u64>,
+    /// Faces whose samples are all hidden are given up.
+    skips_buried: bool,
 }
 
 impl<'a> Rounds<'a> {
     pub(crate) fn new(piece: &Piece<'_>, target: &'a Target) -> Self {
         let sampling = piece.sampling;
+        let more = (RAYS_OF_CAPPED_SAMPLE / sampling.rays_per_sample).max(1);
         let cap = |face: usize| {
-            let class = piece.mesh.group(face).max_samples_per_face.unwrap_or(u32::MAX).saturating_mul(RAYS_PAST_CAP);
+            let class = piece.mesh.group(face).max_samples_per_face.unwrap_or(u32::MAX).saturating_mul(more);
             class.min(sampling.max_samples_per_face).max(sampling.min_samples_per_face) / 2
         };
         let sides = |face: usize| if piece.mesh.group(face).double_sided { 2 } else { 1 };
@@ -52,16 +60,20 @@ impl<'a> Rounds<'a> {
             let matrix = piece.world_from_object.matrix3;
             0.5 * (matrix * (b - a)).cross(matrix * (c - a)).length()
         };
+        let areas: Vec<f64> = piece.faces.clone().map(area).collect();
+        let corners = crate::noise::piece_vertices(piece.mesh, piece.faces.clone());
         Self {
             target,
-            areas: piece.faces.clone().map(area).collect(),
+            leverage: leverage(&corners, &areas),
             caps: piece.faces.clone().map(cap).collect(),
-            corners: crate::noise::piece_vertices(piece.mesh, piece.faces.clone()),
+            areas,
+            corners,
             rays_per_position: piece
                 .faces
                 .clone()
                 .map(|face| sides(face) * u64::from(sampling.rays_per_sample))
                 .collect(),
+            skips_buried: sampling.skips(SkipRule::Buried),
         }
     }
 
@@ -83,13 +95,17 @@ impl<'a> Rounds<'a> {
 
     fn noise(&self, halves: &[[HalfMoments; 2]], half: usize) -> Noise {
         let moments: Vec<&HalfMoments> = halves.iter().map(|halves| &halves[half]).collect();
-        Noise::new(&moments, &self.corners, &self.areas)
+        let mut noise = Noise::new(&moments, &self.corners, &self.areas);
+        if !self.skips_buried {
+            noise.see_hidden(&moments);
+        }
+        noise
     }
 
     /// Samples for each face of one half: as few in all as bring the predicted error of the piece down to the target.
     ///
-    /// The error of the piece is `Σ A e / n` over its faces, e the variance of a sample and n their number; at a given
-    /// sum of n it is least where n goes as `√(A e)`.
+    /// The error of the piece is `Σ A h e / n^FALL` over its faces, h the leverage, e the variance of a sample and n their
+    /// number; at a given sum of n it is least where n goes as the (1 + FALL)th root of `A h e`.
     fn allocate(&self, noise: &Noise, taken: &[u32]) -> Vec<u32> {
         let faces = Shares { rounds: self, noise, taken };
         // Each half alone has twice the square of the error that their mean has.
@@ -123,13 +139,26 @@ impl<'a> Rounds<'a> {
             sampler.summary.rays_saved_adaptive += (uniform - rays).max(0.0).round() as u64;
             let mean = rays / each.max(1.0);
             for (face, count) in taken.iter().enumerate().filter(|(_, count)| **count > 0) {
-                if buried[face] {
+                if buried[face] && self.skips_buried {
                     let missing = (mean - f64::from(*count)).max(0.0) * self.rays_per_position[face] as f64;
                     sampler.summary.rays_skipped_buried += missing.round() as u64;
                 }
             }
         }
     }
+}
+
+/// The part of the noise of a face's samples that is left in values fitted to them and to those of its neighbours: a face
+/// alone has three values of its own, a face of a large smooth mesh half a value. A fit's variance is the noise's times
+/// values by samples; the share of a corner's value that a face has is its share of the area around it.
+fn leverage(corners: &[[u32; 3]], areas: &[f64]) -> Vec<f64> {
+    let mut around = vec![0.0; corners.iter().flatten().max().map_or(0, |last| *last as usize + 1)];
+    for (corners, area) in corners.iter().zip(areas) {
+        corners.iter().for_each(|vertex| around[*vertex as usize] += area);
+    }
+    let share = |vertex: u32, area: f64| if area > 0.0 { area / around[vertex as usize] } else { 0.0 };
+    let of_face = |(corners, area): (&[u32; 3], &f64)| corners.iter().map(|vertex| share(*vertex, *area)).sum();
+    corners.iter().zip(areas).map(of_face).collect()
 }
 
 fn taken(halves: &[[HalfMoments; 2]], half: usize) -> Vec<u32> {
@@ -148,12 +177,17 @@ impl Shares<'_> {
         self.rounds.areas[face] * self.noise.visible[face]
     }
 
-    /// The counts at a scale: powers of two, which the sequences are best at, within what a round may add.
+    /// What the face adds to the square of the error, times the visible area and but for the number of its samples.
+    fn share(&self, face: usize) -> f64 {
+        self.visible_area(face) * self.rounds.leverage[face] * self.noise.variance[face]
+    }
+
+    /// The counts at a scale of the shares: powers of two, which the sequences are best at, within what a round may add.
     #[expect(clippy::cast_possible_truncation, reason = "clamped to 32 powers of two")]
     fn counts(&self, scale: f64) -> Vec<u32> {
         let count = |(face, &taken): (usize, &u32)| {
-            let wanted = scale * (self.visible_area(face) * self.noise.variance[face]).sqrt();
-            let rounded = 1u32 << wanted.log2().round().clamp(0.0, 30.0) as u32;
+            let wanted = libm::log2(scale * self.share(face)) / (1.0 + FALL);
+            let rounded = 1u32 << wanted.round().clamp(0.0, 30.0) as u32;
             let most = self.rounds.caps[face].min(taken.saturating_mul(GROWTH)).max(taken);
             if taken == 0 { 0 } else { rounded.clamp(taken, most) }
         };
@@ -164,8 +198,8 @@ impl Shares<'_> {
     fn error(&self, counts: &[u32]) -> f64 {
         let sampled = || counts.iter().enumerate().filter(|(_, count)| **count > 0);
         let area: f64 = sampled().map(|(face, _)| self.visible_area(face)).sum();
-        let terms = sampled().map(|(face, &n)| self.visible_area(face) * self.noise.variance[face] / f64::from(n));
-        if area > 0.0 { SHARED * terms.sum::<f64>() / area } else { 0.0 }
+        let terms = sampled().map(|(face, &n)| self.share(face) / libm::pow(f64::from(n), FALL));
+        if area > 0.0 { FITTED * terms.sum::<f64>() / area } else { 0.0 }
     }
 
     /// Standard deviation of a sample, by area.
@@ -180,25 +214,23 @@ impl Shares<'_> {
     /// Samples on every face that have the same predicted error.
     fn uniform_count(&self) -> f64 {
         let error = self.error(self.taken);
-        if error > 0.0 { SHARED * self.deviation().powi(2) / error } else { 0.0 }
+        let single: Vec<u32> = self.taken.iter().map(|count| (*count).min(1)).collect();
+        if error > 0.0 { libm::pow(self.error(&single) / error, 1.0 / FALL) } else { 0.0 }
     }
 
     /// The least scale at which the counts are enough; the largest tried if none is.
     fn least_scale(&self, enough: impl Fn(&[u32]) -> bool) -> f64 {
-        let largest = (0..self.taken.len()).map(|face| self.visible_area(face) * self.noise.variance[face]);
-        let Some(unit) = largest.filter(|share| *share > 0.0).reduce(f64::max).map(|share| 1.0 / share.sqrt()) else {
-            return 0.0;
-        };
-        if enough(&self.counts(0.0)) {
+        let largest = (0..self.taken.len()).map(|face| self.share(face)).fold(0.0, f64::max);
+        if largest <= 0.0 || enough(&self.counts(0.0)) {
             return 0.0;
         }
         // From one sample on the noisiest face to 2³⁰, in steps of a sixteenth of an octave.
+        let scale = |step: u32| libm::exp2(f64::from(step) / 16.0 * (1.0 + FALL)) / largest;
         let (mut low, mut high) = (0u32, 30 * 16);
         while low < high {
             let middle = (low + high) / 2;
-            let scale = unit * (f64::from(middle) / 16.0).exp2();
-            if enough(&self.counts(scale)) { high = middle } else { low = middle + 1 }
+            if enough(&self.counts(scale(middle))) { high = middle } else { low = middle + 1 }
         }
-        unit * (f64::from(low) / 16.0).exp2()
+        scale(low)
     }
 }

@@ -69,11 +69,13 @@ fn content(expect: &Expect, bytes: &[u8]) -> Result<Vec<Digest>, String> {
 fn solution(bytes: &[u8], vertices: usize, channels: usize) -> Result<Vec<Digest>, String> {
     let solution: Solution = codec::decode("a solution", bytes).map_err(|e| e.to_string())?;
     size("channels", solution.channels as usize, channels)?;
-    size("values", solution.values.len(), vertices * channels)?;
-    match solution.values.iter().position(|value| !(0.0..=1.0).contains(value)) {
-        Some(at) => Err(format!("value {at} is {}, which is not in [0, 1]", solution.values[at])),
-        None => Ok(Vec::new()),
+    for (what, numbers) in [("value", &solution.values), ("residual", &solution.residuals)] {
+        size(&format!("{what}s"), numbers.len(), vertices * channels)?;
+        if let Some(at) = numbers.iter().position(|number| !(0.0..=1.0).contains(number)) {
+            return Err(format!("{what} {at} is {}, which is not in [0, 1]", numbers[at]));
+        }
     }
+    Ok(Vec::new())
 }
 
 fn size(what: &str, found: usize, expected: usize) -> Result<Vec<Digest>, String> {
@@ -108,15 +110,18 @@ mod tests {
 
     #[test]
     fn solutions_are_finite_and_in_range() {
-        let bytes = |values: Vec<f32>| {
+        let with_residuals = |values: Vec<f32>, residuals: Vec<f32>| {
             let summary = SolveSummary::default();
-            codec::encode(&Solution { channels: 1, values, unsampled: false, summary })
+            codec::encode(&Solution { channels: 1, values, residuals, unsampled: false, summary })
         };
+        let bytes = |values: Vec<f32>| with_residuals(values, vec![0.5; 2]);
         let expect = Expect::Solution { vertices: 2, channels: 1 };
         assert!(content(&expect, &bytes(vec![0.0, 1.0])).is_ok());
         assert!(content(&expect, &bytes(vec![0.0])).unwrap_err().contains("1 values"));
         for bad in [f32::NAN, f32::INFINITY, -0.1, 1.1] {
             assert!(content(&expect, &bytes(vec![0.5, bad])).unwrap_err().contains("value 1"), "{bad}");
+            let residual = with_residuals(vec![0.5; 2], vec![0.5, bad]);
+            assert!(content(&expect, &residual).unwrap_err().contains("residual 1"), "{bad}");
         }
     }
 }

@@ -22,6 +22,11 @@ pub enum Class {
     Decorator,
 }
 
+impl Class {
+    /// Every class.
+    pub const ALL: [Self; 6] = [Self::Opaque, Self::Distant, Self::Ignored, Self::Tree, Self::Shrub, Self::Decorator];
+}
+
 /// What faces of one primitive have in common.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct FaceGroup {
@@ -33,7 +38,8 @@ pub struct FaceGroup {
     pub occludes: bool,
     /// These faces get samples.
     pub receives: bool,
-    /// A cap on the samples per face that a rule sets.
+    /// A cap on the samples per face that a rule sets, of 256 rays each: adaptive sampling, whose samples have fewer rays,
+    /// takes as many more.
     pub max_samples_per_face: Option<u32>,
 }
 

@@ -40,6 +40,8 @@ pub struct MeshEntry {
     pub vertex_count: u32,
     /// Faces after cleaning.
     pub face_count: u32,
+    /// Faces that cleaning left out because they repeat others.
+    pub duplicate_faces: u32,
     /// Object-space bounds.
     pub bounds: Bounds,
     /// Index of the mesh in the source file.

@@ -10,6 +10,7 @@ mod geometry;
 mod level;
 mod moments;
 mod settings;
+mod skip;
 mod solution;
 mod task;
 
@@ -21,8 +22,9 @@ pub use settings::{
     Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, Kernel, MAX_CHANNELS, OutputSettings, Quality, Remap,
     Sampling, SolveSettings, Target, ValueFormat,
 };
-pub use solution::{ComponentMethod, ErrorEstimate, ErrorHistogram, Solution, SolveSummary};
+pub use skip::{REACH_EPSILON, SkipRule};
+pub use solution::{CoarseFace, CoarseFaces, ComponentMethod, ErrorEstimate, ErrorHistogram, Solution, SolveSummary};
 pub use task::{
-    BakeSummary, Baked, ExportSpec, JobId, Lane, MeshSummary, PlanSpec, SolveTask, SourceFile, SourceManifest,
-    TaskGraph, TaskKey, TaskKind, TaskSpec, TraceTask,
+    BakeSummary, Baked, BeyondReach, ExportSpec, JobId, Lane, MeshSummary, PlanSpec, SolveTask, SourceFile,
+    SourceManifest, TaskGraph, TaskKey, TaskKind, TaskSpec, TraceTask,
 };

@@ -9,7 +9,10 @@ use crate::MAX_CHANNELS;
 use bytemuck::{cast_slice, pod_collect_to_vec};
 use serde::{Deserialize, Serialize};
 
-const MAGIC: [u8; 8] = *b"kilnMOM2";
+const MAGIC: [u8; 8] = *b"kilnMOM3";
+
+/// Channels, faces and totals, 8 bytes each.
+const HEADER_BYTES: usize = 80;
 
 /// Moments of one half of a face's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
@@ -64,6 +67,11 @@ pub struct TraceSummary {
     pub rays_skipped_buried: u64,
     /// Rays that the same estimated error would have cost with as many samples on every face, less those it cost.
     pub rays_saved_adaptive: u64,
+    /// Of the rays traced, those of samples whose reach does not cover all that their instance's rays may come to.
+    pub rays_cut: u64,
+    /// Rays that faces which repeat others would have cost: as many as the faces of their instance had on average. Known
+    /// once the instance is exported.
+    pub rays_skipped_duplicate: u64,
 }
 
 impl TraceSummary {
@@ -75,6 +83,8 @@ impl TraceSummary {
         self.rays_skipped_empty += other.rays_skipped_empty;
         self.rays_skipped_buried += other.rays_skipped_buried;
         self.rays_saved_adaptive += other.rays_saved_adaptive;
+        self.rays_cut += other.rays_cut;
+        self.rays_skipped_duplicate += other.rays_skipped_duplicate;
     }
 }
 
@@ -157,9 +167,9 @@ impl FaceMoments {
     /// The artefact's bytes: magic, channels, faces, totals, counts, sums; little-endian.
     pub fn to_bytes(&self) -> Vec<u8> {
         let s = &self.summary;
-        let rays = [s.rays, s.rays_skipped_empty, s.rays_skipped_buried, s.rays_saved_adaptive];
+        let saved = [s.rays_skipped_empty, s.rays_skipped_buried, s.rays_saved_adaptive, s.rays_skipped_duplicate];
         let counts = [self.channels as u64, self.counts.len() as u64, s.samples, s.invalid];
-        let header = [counts, rays].concat();
+        let header = [&counts[..], &[s.rays, s.rays_cut], &saved].concat();
         let mut bytes = MAGIC.to_vec();
         bytes.extend(header.iter().flat_map(|v| v.to_le_bytes()));
         bytes.extend_from_slice(cast_slice(&self.counts));
@@ -171,13 +181,13 @@ impl FaceMoments {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, MomentsError> {
         let error = |reason| MomentsError { reason };
         let body = bytes.strip_prefix(&MAGIC).ok_or(error("the magic number is missing"))?;
-        let (header, body) = body.split_at_checked(64).ok_or(error("the header is cut short"))?;
-        let mut fields = [0u64; 8];
+        let (header, body) = body.split_at_checked(HEADER_BYTES).ok_or(error("the header is cut short"))?;
+        let mut fields = [0u64; HEADER_BYTES / 8];
         for (field, chunk) in fields.iter_mut().zip(header.chunks_exact(8)) {
             *field = u64::from_le_bytes(chunk.try_into().map_err(|_| error("the header is cut short"))?);
         }
-        let [channels, faces, samples, invalid, rays, rays_skipped_empty, rays_skipped_buried, rays_saved_adaptive] =
-            fields;
+        let [channels, faces, samples, invalid, rays, rays_cut, saved @ ..] = fields;
+        let [rays_skipped_empty, rays_skipped_buried, rays_saved_adaptive, rays_skipped_duplicate] = saved;
         if !(1..=MAX_CHANNELS as u64).contains(&channels) {
             return Err(error("the number of channels is out of range"));
         }
@@ -194,8 +204,16 @@ impl FaceMoments {
         if !sums.iter().all(|v| v.is_finite()) {
             return Err(error("a sum is not finite"));
         }
-        let summary =
-            TraceSummary { samples, invalid, rays, rays_skipped_empty, rays_skipped_buried, rays_saved_adaptive };
+        let summary = TraceSummary {
+            samples,
+            invalid,
+            rays,
+            rays_skipped_empty,
+            rays_skipped_buried,
+            rays_saved_adaptive,
+            rays_cut,
+            rays_skipped_duplicate,
+        };
         Ok(Self { channels: channels as usize, sums, counts, summary })
     }
 }

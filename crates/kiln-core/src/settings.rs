@@ -1,6 +1,8 @@
 //! What a person may set, and what it resolves to.
 
+use crate::{REACH_EPSILON, SkipRule};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// The most half-distances that one bake computes: the components of a VEC4.
 pub const MAX_CHANNELS: usize = 4;
@@ -47,8 +49,7 @@ impl Quality {
     /// Mean number of samples per face, over the faces of an instance, with which adaptive sampling begins.
     pub const fn first_samples_per_face(self) -> f64 {
         match self {
-            Self::Low => 2.0,
-            Self::Medium => 3.0,
+            Self::Low | Self::Medium => 3.0,
             Self::High => 4.0,
             Self::Reference => 64.0,
         }
@@ -156,6 +157,8 @@ pub struct BakeSettings {
     pub only: Option<String>,
     /// Another seed gives another, equally good result.
     pub seed: u64,
+    /// Rules that leave out work, turned off.
+    pub no_skip: BTreeSet<SkipRule>,
     /// What is written.
     pub output: OutputSettings,
 }
@@ -177,6 +180,7 @@ impl Default for BakeSettings {
             drop_bad_faces: false,
             only: None,
             seed: 0,
+            no_skip: BTreeSet::new(),
             output: OutputSettings::default(),
         }
     }
@@ -269,6 +273,24 @@ pub struct Sampling {
     pub seed: u64,
     /// Height of a plane that occludes, relative to the origin, metres along +y, if wanted.
     pub ground_plane_y_m: Option<f64>,
+    /// Rules that leave out work, turned off: [`SkipRule::of_sampling`].
+    pub no_skip: BTreeSet<SkipRule>,
+}
+
+impl Sampling {
+    /// Whether a rule that leaves out work applies.
+    pub fn skips(&self, rule: SkipRule) -> bool {
+        !self.no_skip.contains(&rule)
+    }
+
+    /// Distance at which rays end, metres. The distance of plain occlusion is what it means, not a rule that could be
+    /// turned off.
+    pub fn reach_m(&self) -> f64 {
+        match self.kernel {
+            Kernel::Obscurance { .. } if !self.skips(SkipRule::Reach) => f64::INFINITY,
+            _ => self.kernel.reach_m(REACH_EPSILON),
+        }
+    }
 }
 
 /// Settings of the solve, resolved.
@@ -280,11 +302,13 @@ pub struct SolveSettings {
     pub anchor: f64,
     /// Vertices at one position whose normals are within this angle, degrees, are one unknown.
     pub weld_degrees: f64,
+    /// Rays of each sample, by which the noise of its directions is told from what vertex values cannot follow.
+    pub rays_per_sample: u32,
 }
 
 impl Default for SolveSettings {
     fn default() -> Self {
-        Self { regularization: DEFAULT_REGULARIZATION, anchor: 1e-3, weld_degrees: 5.0 }
+        Self { regularization: DEFAULT_REGULARIZATION, anchor: 1e-3, weld_degrees: 5.0, rays_per_sample: 16 }
     }
 }
 
@@ -345,4 +369,6 @@ pub struct OutputSettings {
     pub blend: Option<Vec<f64>>,
     /// A curve applied to the blend.
     pub remap: Option<Remap>,
+    /// Whether `_AO_RESIDUAL` is written too: where the mesh is too coarse.
+    pub residual: bool,
 }

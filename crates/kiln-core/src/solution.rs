@@ -10,6 +10,9 @@ pub struct Solution {
     pub channels: u32,
     /// `vertices × channels` values in [0, 1], in the order of the mesh's vertices.
     pub values: Vec<f32>,
+    /// `vertices × channels` deviations in [0, 1]: how far the signal strays from the values around each vertex, as the
+    /// area-weighted root mean square of what the faces there leave.
+    pub residuals: Vec<f32>,
     /// No face of the instance had a valid sample: the values are to be taken from the nearest other surface.
     pub unsampled: bool,
     /// How the values were found.
@@ -111,6 +114,40 @@ impl ErrorHistogram {
     }
 }
 
+/// Faces that are too coarse for what lies on them: their samples stray from any linear function.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Default)]
+pub struct CoarseFaces {
+    /// How many.
+    pub count: u64,
+    /// Their world-space area that can be seen, square metres.
+    pub visible_area_m2: f64,
+    /// The worst few, the worst first.
+    pub worst: Vec<CoarseFace>,
+}
+
+impl CoarseFaces {
+    /// Deviation from which on a face counts: that of a step by 0.2 half-way across it. A tenth of the range of AO is seen
+    /// at a glance, and no face of 16 rays per sample is named for the noise of their directions, which is below .063 and
+    /// taken off (`kiln_solve::residual`).
+    pub const LEAST_DEVIATION: f64 = 0.1;
+
+    /// Adds those of another instance, but for the list of the worst.
+    pub fn add(&mut self, other: &Self) {
+        self.count += other.count;
+        self.visible_area_m2 += other.visible_area_m2;
+    }
+}
+
+/// A face that is too coarse.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CoarseFace {
+    /// Index in [`crate::Mesh::faces`].
+    pub face: u32,
+    /// Standard deviation of the signal about the values, 0 to 1, in the channel where it is greatest; what the noise of
+    /// a sample's directions explains is not in it.
+    pub deviation: f64,
+}
+
 /// How an instance was solved.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Default)]
 pub struct SolveSummary {
@@ -130,6 +167,8 @@ pub struct SolveSummary {
     pub visible_area_m2: f64,
     /// Estimated error for each channel.
     pub error: Vec<ErrorEstimate>,
+    /// Faces whose signal no linear function can hold.
+    pub too_coarse: CoarseFaces,
     /// Totals of the trace tasks.
     pub trace: TraceSummary,
 }

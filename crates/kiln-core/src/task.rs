@@ -43,7 +43,7 @@ impl TaskKind {
     /// other revisions are never taken for its own. A golden test in the kind's crate fails otherwise.
     pub const fn kernel_rev(self) -> u32 {
         match self {
-            Self::Import | Self::Plan | Self::Trace | Self::Solve | Self::Export => 2,
+            Self::Import | Self::Plan | Self::Trace | Self::Solve | Self::Export => 3,
         }
     }
 
@@ -247,12 +247,25 @@ pub struct BakeSummary {
     pub sampling: Sampling,
     /// Totals of tracing.
     pub trace: TraceSummary,
+    /// What the reach of rays left out.
+    pub beyond_reach: BeyondReach,
     /// Estimated error over the level for each channel.
     pub error: Vec<ErrorEstimate>,
     /// What happened in each instance.
     pub meshes: Vec<MeshSummary>,
     /// Import's and export's warnings.
     pub warnings: Vec<Warning>,
+}
+
+/// What lies beyond the reach of rays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Default)]
+pub struct BeyondReach {
+    /// Instances that no receiving instance's rays can come to: they are neither loaded nor traced.
+    pub instances: u64,
+    /// Their faces.
+    pub faces: u64,
+    /// Rays that end at their reach although something lies beyond: of samples whose reach does not cover the level.
+    pub rays_cut: u64,
 }
 
 /// What happened in one instance.
@@ -264,4 +277,6 @@ pub struct MeshSummary {
     pub mesh: String,
     /// How it was solved, and its samples.
     pub solve: SolveSummary,
+    /// Centres in world space, metres, of the faces that [`crate::CoarseFaces::worst`] lists.
+    pub coarse_centers_m: Vec<[f64; 3]>,
 }

@@ -2,7 +2,13 @@
 //!
 //! An instance is cut into pieces by its mesh's face count alone, so that an edit elsewhere recuts nothing. The key of
 //! a trace task is H(family, occluder root): the family covers the piece, its settings, the kernel revision and the
-//! lane; the occluder root covers all that can stop a ray. Instances that receive nothing have no tasks.
+//! lane; the occluder root covers all that can stop one of its rays ([`Reach`]). Instances that receive nothing have no
+//! tasks.
+
+mod boxes;
+mod reach;
+
+pub use reach::Reach;
 
 use glam::DAffine3;
 use kiln_core::{Digest, DigestBuilder, Lane, Level, SolveTask, TaskGraph, TaskKey, TaskKind, TraceTask};
@@ -52,12 +58,14 @@ pub enum PlanError {
 /// Most pieces of one bake.
 pub const MAX_PIECES: u64 = 1 << 24;
 
-/// Builds the graph. `sampling` has one entry for each instance (ignored for those that do not receive).
+/// Builds the graph. `sampling` has one entry for each instance (ignored for those that do not receive), and `reach` is
+/// the level's.
 pub fn plan(
     level_digest: Digest,
     level: &Level,
     lane: &Lane,
     sampling: &[InstanceSampling],
+    reach: &Reach,
 ) -> Result<TaskGraph, PlanError> {
     if sampling.len() != level.instances.len() {
         return Err(PlanError::InstanceCount { instances: level.instances.len(), sampled: sampling.len() });
@@ -67,7 +75,7 @@ pub fn plan(
     if needed > MAX_PIECES {
         return Err(PlanError::TooLarge { pieces: needed, limit: MAX_PIECES });
     }
-    let occluders = occluder_root(level);
+    let roots = occluder_roots(level, reach);
     let mut graph = TaskGraph {
         level: level_digest,
         trace: Vec::with_capacity(needed as usize),
@@ -77,6 +85,8 @@ pub fn plan(
         warnings: level.warnings.clone(),
     };
     for (index, instance) in level.instances.iter().enumerate().filter(|(_, instance)| instance.receives) {
+        let root = reach.group(index).and_then(|group| roots.get(group));
+        let occluders = root.ok_or(PlanError::InstanceCount { instances: level.instances.len(), sampled: index })?;
         let mesh = &level.meshes[instance.mesh as usize];
         let receiver = Receiver { mesh: mesh.digest, place: instance.world_from_object };
         let first_trace = graph.trace.len() as u32;
@@ -84,7 +94,7 @@ pub fn plan(
         for (range, samples) in pieces(mesh.face_count).zip(piece_samples) {
             let family = trace_family(&receiver, &range, *density_per_m2, level, lane);
             graph.trace.push(TraceTask {
-                key: TaskKey(DigestBuilder::new("kiln trace").digest(&family).digest(&occluders).finish()),
+                key: TaskKey(DigestBuilder::new("kiln trace").digest(&family).digest(occluders).finish()),
                 family,
                 instance: index as u32,
                 first_face: range.start,
@@ -122,13 +132,23 @@ fn add_place(builder: &mut DigestBuilder, place: &DAffine3) {
     });
 }
 
-/// Everything that can stop a ray, in the order that ties are decided by.
-fn occluder_root(level: &Level) -> Digest {
-    let mut builder = DigestBuilder::new("kiln occluders");
-    builder.integer(level.instances.len() as u64);
-    for instance in &level.instances {
+/// Everything that can stop a ray of each group of receivers, in the order that ties are decided by.
+fn occluder_roots(level: &Level, reach: &Reach) -> Vec<Digest> {
+    let occluder = |instance: &kiln_core::Instance| {
+        let mut builder = DigestBuilder::new("kiln occluder");
         builder.digest(&level.meshes[instance.mesh as usize].digest);
         add_place(&mut builder, &instance.world_from_object);
+        builder.finish()
+    };
+    let occluders: Vec<Digest> = level.instances.iter().map(occluder).collect();
+    (0..reach.group_count()).map(|group| occluder_root(level, &occluders, reach.occluders(group))).collect()
+}
+
+fn occluder_root(level: &Level, occluders: &[Digest], within_reach: &[u32]) -> Digest {
+    let mut builder = DigestBuilder::new("kiln occluders");
+    builder.integer(within_reach.len() as u64);
+    for &index in within_reach {
+        builder.digest(&occluders[index as usize]);
     }
     if let Some(height) = level.sampling.ground_plane_y_m {
         // The plane is cut to the level's bounds and reach, so both are part of what it is.
@@ -146,7 +166,7 @@ fn trace_family(receiver: &Receiver, faces: &Range<u32>, density: f64, level: &L
     for count in [s.rays_per_sample, s.min_samples_per_face, s.max_samples_per_face] {
         builder.integer(u64::from(count));
     }
-    builder.float(s.back_face_limit).integer(s.seed).value(&s.target);
+    builder.float(s.back_face_limit).integer(s.seed).value(&s.target).value(&s.no_skip);
     builder.finish()
 }
 
@@ -162,7 +182,9 @@ fn solve_family(receiver: &Receiver, level: &Level, lane: &Lane) -> Digest {
 mod tests {
     use super::*;
     use glam::DVec3;
-    use kiln_core::{BakeSettings, Bounds, Instance, Kernel, LevelCounts, MeshEntry, Sampling, SolveSettings};
+    use kiln_core::{
+        BakeSettings, Bounds, Instance, Kernel, LevelCounts, MeshEntry, Sampling, SkipRule, SolveSettings,
+    };
 
     fn level() -> Level {
         let mesh = |name: &str, face_count| MeshEntry {
@@ -170,7 +192,8 @@ mod tests {
             name: name.into(),
             vertex_count: 3 * face_count,
             face_count,
-            bounds: Bounds::EMPTY,
+            duplicate_faces: 0,
+            bounds: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
             source_mesh: 0,
             blocks: Vec::new(),
         };
@@ -198,6 +221,7 @@ mod tests {
                 back_face_limit: 0.25,
                 seed: 0,
                 ground_plane_y_m: None,
+                no_skip: std::collections::BTreeSet::new(),
             },
             solve: SolveSettings::default(),
             output: BakeSettings::default().output,
@@ -217,7 +241,22 @@ mod tests {
             })
             .collect();
         let lane = Lane { trace: "cpu".into(), solve: "portable".into() };
-        plan(Digest::default(), level, &lane, &sampling).unwrap()
+        let seen: Vec<Bounds> = level.instances.iter().map(|i| seen(level, i)).collect();
+        plan(Digest::default(), level, &lane, &sampling, &Reach::new(level, &seen)).unwrap()
+    }
+
+    fn seen(level: &Level, instance: &Instance) -> Bounds {
+        let bounds = level.meshes[instance.mesh as usize].bounds;
+        let at = |corner| instance.world_from_object.transform_point3(corner);
+        Bounds { min: at(bounds.min), max: at(bounds.max) }
+    }
+
+    /// As many instances, and one half-distance.
+    pub(crate) fn level_of(instances: usize, half_distance_m: f64) -> Level {
+        let mut level = level();
+        level.instances = vec![level.instances[0].clone(); instances];
+        level.sampling.kernel = Kernel::Obscurance { half_distances_m: vec![half_distance_m] };
+        level
     }
 
     fn keys(level: &Level) -> Vec<TaskKey> {
@@ -278,11 +317,37 @@ mod tests {
             |s: &mut Sampling| s.back_face_limit = 0.3,
             |s: &mut Sampling| s.kernel = Kernel::Obscurance { half_distances_m: vec![2.0] },
             |s: &mut Sampling| s.ground_plane_y_m = Some(0.0),
+            |s: &mut Sampling| s.no_skip = SkipRule::ALL.into(),
         ] {
             let mut changed = base.clone();
             change(&mut changed.sampling);
             assert!(keys(&changed).iter().zip(&before).all(|(a, b)| a != b));
         }
+    }
+
+    #[test]
+    fn an_edit_changes_the_keys_of_what_it_can_reach() {
+        // At a half-distance of 2 m rays end after 20 m.
+        let mut base = level();
+        base.sampling.kernel = Kernel::Obscurance { half_distances_m: vec![2.0] };
+        base.instances[2].world_from_object.translation.x = 100.0;
+        let mut edited = base.clone();
+        edited.meshes.push(MeshEntry { digest: Digest::of(b"barrel"), ..base.meshes[1].clone() });
+        edited.instances[2].mesh = 2;
+        let same = |a: &Level, b: &Level| keys(a).iter().zip(keys(b)).map(|(a, b)| *a == b).collect::<Vec<_>>();
+        assert_eq!(same(&base, &edited), [true, true, true, true, false]);
+        // A new neighbour is noticed on both sides, a new stranger by nobody.
+        edited.instances[2].world_from_object.translation.x = 10.0;
+        assert_eq!(same(&base, &edited), [false; 5]);
+        let mut grown = base.clone();
+        grown.instances.push(Instance { receives: false, ..base.instances[1].clone() });
+        grown.instances[3].world_from_object.translation.x = 200.0;
+        assert_eq!(same(&base, &grown), [true; 5]);
+        // Rays without an end notice everything.
+        for level in [&mut base, &mut grown] {
+            level.sampling.no_skip.insert(SkipRule::Reach);
+        }
+        assert_eq!(same(&base, &grown), [false; 5]);
     }
 
     #[test]

@@ -4,7 +4,10 @@ use crate::{
     field::{FieldError, at_most, in_range, positive, text},
     limits, v1,
 };
-use kiln_core::{Attribute, BakeSettings, ColorMode, MAX_CHANNELS, OutputSettings, Quality, Remap, ValueFormat};
+use kiln_core::{
+    Attribute, BakeSettings, ColorMode, MAX_CHANNELS, OutputSettings, Quality, Remap, SkipRule, ValueFormat,
+};
+use std::collections::BTreeSet;
 
 /// Most points of a curve.
 const CURVE_POINTS: usize = 1024;
@@ -33,6 +36,7 @@ impl From<&BakeSettings> for v1::BakeSettings {
             only: settings.only.clone(),
             seed: settings.seed,
             output: Some((&settings.output).into()),
+            no_skip: settings.no_skip.iter().map(|rule| v1::SkipRule::from(*rule).into()).collect(),
         }
     }
 }
@@ -88,9 +92,40 @@ impl TryFrom<v1::BakeSettings> for BakeSettings {
             drop_bad_faces: settings.drop_bad_faces,
             only: settings.only,
             seed: settings.seed,
+            no_skip: rules(&settings.no_skip)?,
             output: output.try_into().map_err(|e: FieldError| e.within("output"))?,
         })
     }
+}
+
+impl From<SkipRule> for v1::SkipRule {
+    fn from(rule: SkipRule) -> Self {
+        match rule {
+            SkipRule::Reach => Self::Reach,
+            SkipRule::Empty => Self::Empty,
+            SkipRule::Buried => Self::Buried,
+            SkipRule::Duplicates => Self::Duplicates,
+            SkipRule::Adaptive => Self::Adaptive,
+            SkipRule::Unchanged => Self::Unchanged,
+        }
+    }
+}
+
+fn rules(numbers: &[i32]) -> Result<BTreeSet<SkipRule>, FieldError> {
+    at_most("no_skip", numbers.len(), SkipRule::ALL.len())?;
+    let rule = |(i, number): (usize, &i32)| match v1::SkipRule::try_from(*number) {
+        Ok(v1::SkipRule::Reach) => Ok(SkipRule::Reach),
+        Ok(v1::SkipRule::Empty) => Ok(SkipRule::Empty),
+        Ok(v1::SkipRule::Buried) => Ok(SkipRule::Buried),
+        Ok(v1::SkipRule::Duplicates) => Ok(SkipRule::Duplicates),
+        Ok(v1::SkipRule::Adaptive) => Ok(SkipRule::Adaptive),
+        Ok(v1::SkipRule::Unchanged) => Ok(SkipRule::Unchanged),
+        Ok(v1::SkipRule::Unspecified) | Err(_) => {
+            let problem = format!("is {number}, which is no rule; they are numbered from 1 to {}", SkipRule::ALL.len());
+            Err(FieldError::new(format!("no_skip[{i}]"), problem))
+        }
+    };
+    numbers.iter().enumerate().map(rule).collect()
 }
 
 impl From<&OutputSettings> for v1::OutputSettings {
@@ -123,6 +158,7 @@ impl From<&OutputSettings> for v1::OutputSettings {
             color: color.into(),
             blend: output.blend.clone().unwrap_or_default(),
             remap,
+            residual: output.residual,
         }
     }
 }
@@ -155,7 +191,7 @@ impl TryFrom<v1::OutputSettings> for OutputSettings {
             Some(WireRemap::Gamma(gamma)) => Some(Remap::Gamma(positive("gamma", gamma)?)),
             Some(WireRemap::Curve(curve)) => Some(Remap::Curve(points(&curve)?)),
         };
-        Ok(Self { attribute, format, color, blend: some_list(output.blend), remap })
+        Ok(Self { attribute, format, color, blend: some_list(output.blend), remap, residual: output.residual })
     }
 }
 
@@ -195,13 +231,15 @@ mod tests {
             option::of(select(vec![ColorMode::Multiply, ColorMode::Replace])),
             option::of(prop::collection::vec(0.0..1.0f64, 1..=4)),
             option::of(remap),
+            any::<bool>(),
         )
-            .prop_map(|(attribute, format, color, blend, remap)| OutputSettings {
+            .prop_map(|(attribute, format, color, blend, remap, residual)| OutputSettings {
                 attribute,
                 format,
                 color,
                 blend,
                 remap,
+                residual,
             })
     }
 
@@ -216,9 +254,12 @@ mod tests {
             option::of(1e-4..1.0f64),
         );
         let quality = select(vec![Quality::Low, Quality::Medium, Quality::High, Quality::Reference]);
+        let rules = prop::sample::subsequence(SkipRule::ALL.to_vec(), 0..=SkipRule::ALL.len());
+        let quality = (quality, rules);
         (counts, floats, quality, option::of("[a-z*]{0,8}"), any_output()).prop_map(|(n, f, quality, only, output)| {
             BakeSettings {
-                quality,
+                quality: quality.0,
+                no_skip: quality.1.into_iter().collect(),
                 rays_per_sample: n.0.map(|bits| 1 << bits),
                 max_samples_per_face: n.1,
                 seed: n.2,
@@ -258,6 +299,10 @@ mod tests {
         assert_eq!(field(v1::BakeSettings { rays_per_sample: Some(3), ..with() }), "rays_per_sample");
         assert_eq!(field(v1::BakeSettings { back_face_limit: Some(f64::NAN), ..with() }), "back_face_limit");
         assert_eq!(field(v1::BakeSettings { density_per_m2: Some(f64::INFINITY), ..with() }), "density_per_m2");
+        for no_skip in [vec![1, 9], vec![1, 0]] {
+            assert_eq!(field(v1::BakeSettings { no_skip, ..with() }), "no_skip[1]");
+        }
+        assert_eq!(field(v1::BakeSettings { no_skip: vec![1; 7], ..with() }), "no_skip");
         let remap = Some(v1::output_settings::Remap::Gamma(0.0));
         let output = Some(v1::OutputSettings { remap, ..Default::default() });
         assert_eq!(field(v1::BakeSettings { output, ..with() }), "output.gamma");

@@ -4,6 +4,7 @@ use crate::{
     SceneError, SourceFiles,
     accessor::Accessor,
     document::{Document, name_of, read_level},
+    export::RESIDUAL,
     extensions::check_required,
     findings::Findings,
     json::Item,
@@ -46,6 +47,10 @@ pub struct BakedPart {
     pub channels: usize,
     /// `vertices × channels` values of `_AO`.
     pub ao: Vec<f32>,
+    /// Components of `_AO_RESIDUAL`; 0 if the primitive has none.
+    pub residual_channels: usize,
+    /// `vertices × residual_channels` values of `_AO_RESIDUAL`.
+    pub residual: Vec<f32>,
 }
 
 /// Reads a file with `_AO`; primitives without it are there too, with no values. `name` is its path in `files`.
@@ -92,10 +97,11 @@ fn read_part(
     }
     let material = primitive.get("material").and_then(|reference| materials.get(reference.index().ok()?));
     let opened = Primitive::open(document, primitive, index, topology, plain_group())?;
-    let (channels, ao) = match attributes.get("_AO") {
-        None => (0, Vec::new()),
-        Some(reference) => read_ao(document, &reference, opened.position.count)?,
+    let numbers = |attribute: &str| match attributes.get(attribute) {
+        None => Ok((0, Vec::new())),
+        Some(reference) => read_numbers(document, &reference, opened.position.count),
     };
+    let ((channels, ao), (residual_channels, residual)) = (numbers("_AO")?, numbers(RESIDUAL)?);
     let world = placement.world_from_object;
     let positions = opened.position.vectors::<3>()?;
     let mut faces = opened.triangles()?;
@@ -114,6 +120,8 @@ fn read_part(
         double_sided: material.is_some_and(|material| material.double_sided),
         channels,
         ao,
+        residual_channels,
+        residual,
     }))
 }
 
@@ -127,7 +135,12 @@ fn plain_group() -> FaceGroup {
     FaceGroup { class: Class::Opaque, double_sided: false, occludes: true, receives: true, max_samples_per_face: None }
 }
 
-fn read_ao(document: &Document<'_>, reference: &Item<'_>, vertices: usize) -> Result<(usize, Vec<f32>), SceneError> {
+/// Components and values of an attribute of any width.
+fn read_numbers(
+    document: &Document<'_>,
+    reference: &Item<'_>,
+    vertices: usize,
+) -> Result<(usize, Vec<f32>), SceneError> {
     let accessor = Accessor::open(document, reference)?;
     accessor.expect_count(vertices, "POSITION")?;
     let values = match accessor.width {

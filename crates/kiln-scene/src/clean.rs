@@ -1,4 +1,4 @@
-//! Cleaning of a mesh's faces, on Kiln's own copy: faces without area and repeated faces go, and the rest is put
+//! Cleaning of a mesh's faces, on Kiln's own copy: faces without area and, by default, repeated faces go, and the rest is put
 //! into an order that depends on nothing but the geometry.
 //!
 //! Each face is turned so that it starts at its corner with the least position bits (the winding stays), and faces
@@ -31,8 +31,8 @@ pub(crate) struct Cleaned {
     pub(crate) duplicate: u64,
 }
 
-/// Cleans and sorts. All vertices of the faces must be in range and finite.
-pub(crate) fn clean(positions: &[[f32; 3]], mut faces: Vec<Face>) -> Cleaned {
+/// Cleans and sorts; faces that repeat others may stay. All vertices of the faces must be in range and finite.
+pub(crate) fn clean(positions: &[[f32; 3]], mut faces: Vec<Face>, keep_duplicates: bool) -> Cleaned {
     let source_count = faces.len();
     faces.retain(|face| !is_degenerate(positions, face));
     let degenerate = (source_count - faces.len()) as u64;
@@ -52,7 +52,9 @@ pub(crate) fn clean(positions: &[[f32; 3]], mut faces: Vec<Face>) -> Cleaned {
         order.then_with(|| (corners(a), a.group, a.vertices).cmp(&(corners(b), b.group, b.vertices)))
     });
     let sorted_count = keyed.len();
-    keyed.dedup_by(|(_, next), (_, kept)| next.group == kept.group && corners(next) == corners(kept));
+    keyed.dedup_by(|(_, next), (_, kept)| {
+        !keep_duplicates && next.group == kept.group && corners(next) == corners(kept)
+    });
     let duplicate = (sorted_count - keyed.len()) as u64;
     Cleaned { faces: keyed.into_iter().map(|(_, face)| face).collect(), bounds: Some(bounds), degenerate, duplicate }
 }
@@ -124,7 +126,7 @@ mod tests {
         for scale in [1e-18f32, 1.0, 1e18] {
             let positions = [[0.0, 0.0, 0.0], [scale, 0.0, 0.0], [0.0, scale * 1e-4, 0.0], [scale * 2.0, 0.0, 0.0]];
             let faces = vec![face([0, 1, 2]), face([0, 1, 3]), face([0, 1, 1])];
-            let cleaned = clean(&positions, faces);
+            let cleaned = clean(&positions, faces, false);
             assert_eq!((cleaned.faces.len(), cleaned.degenerate), (1, 2), "{scale}");
         }
     }
@@ -132,7 +134,7 @@ mod tests {
     #[test]
     fn repeated_corners_by_position() {
         let positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-0.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-        let cleaned = clean(&positions, vec![face([0, 1, 2]), face([0, 1, 3]), face([3, 2, 1])]);
+        let cleaned = clean(&positions, vec![face([0, 1, 2]), face([0, 1, 3]), face([3, 2, 1])], false);
         assert_eq!((cleaned.degenerate, cleaned.duplicate), (1, 1));
         assert_eq!(cleaned.faces, [face([0, 1, 3])]);
     }
@@ -141,8 +143,11 @@ mod tests {
     fn facing_and_group_tell_faces_apart() {
         let positions = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         let other_group = Face { vertices: [1, 2, 0], group: 1 };
-        let cleaned = clean(&positions, vec![face([0, 1, 2]), face([2, 0, 1]), face([1, 0, 2]), other_group]);
+        let faces = vec![face([0, 1, 2]), face([2, 0, 1]), face([1, 0, 2]), other_group];
+        let cleaned = clean(&positions, faces.clone(), false);
         assert_eq!((cleaned.faces.len(), cleaned.duplicate), (3, 1));
+        let all = clean(&positions, faces, true);
+        assert_eq!((all.faces.len(), all.duplicate), (4, 0));
     }
 
     proptest! {
@@ -163,8 +168,8 @@ mod tests {
                 shuffled.swap(i, (state >> 33) as usize % (i + 1));
                 shuffled[i].vertices.rotate_left((state >> 20) as usize % 3);
             }
-            let cleaned = clean(&positions, faces.clone());
-            prop_assert_eq!(&cleaned, &clean(&positions, shuffled));
+            let cleaned = clean(&positions, faces.clone(), false);
+            prop_assert_eq!(&cleaned, &clean(&positions, shuffled, false));
             let all = cleaned.faces.len() as u64 + cleaned.degenerate + cleaned.duplicate;
             prop_assert_eq!(all, faces.len() as u64);
         }

@@ -134,8 +134,14 @@ pub(crate) fn export_all(
     import: &Import,
     values: &[Vec<f32>],
 ) -> Result<Exported, SceneError> {
+    let residuals: Vec<Vec<f32>> = values.iter().map(|values| values.iter().rev().copied().collect()).collect();
     let receiving = (0..values.len()).filter(|&instance| import.level.instances[instance].receives);
-    let values: Vec<_> = receiving.map(|instance| BakedInstance { instance, values: &values[instance] }).collect();
+    let values: Vec<_> = receiving
+        .map(|instance| {
+            // Residuals of their own: the values the other way round.
+            BakedInstance { instance, values: &values[instance], residuals: &residuals[instance] }
+        })
+        .collect();
     let level_digest = Digest::of(&codec::encode(&import.level));
     export(&ExportRequest {
         level_name: name,

@@ -10,7 +10,7 @@ use crate::{
     json::Item,
 };
 use glam::DVec3;
-use kiln_core::{Bounds, FaceGroup, Mesh, VertexBlock};
+use kiln_core::{BakeSettings, Bounds, FaceGroup, Mesh, SkipRule, VertexBlock};
 
 const DROP: &str = "repair the mesh, or drop such faces with --drop-bad-faces";
 
@@ -159,8 +159,12 @@ pub(crate) struct Built {
 }
 
 /// Reads and cleans a mesh from its opened primitives, none of which is ignored.
-pub(crate) fn build(primitives: &[Primitive<'_>], drop_bad_faces: bool) -> Result<Built, SceneError> {
-    let mut builder = Builder { drop_bad_faces, ..Builder::default() };
+pub(crate) fn build(primitives: &[Primitive<'_>], settings: &BakeSettings) -> Result<Built, SceneError> {
+    let mut builder = Builder {
+        drop_bad_faces: settings.drop_bad_faces,
+        keep_duplicates: settings.no_skip.contains(&SkipRule::Duplicates),
+        ..Builder::default()
+    };
     for primitive in primitives {
         builder.add(primitive)?;
     }
@@ -170,6 +174,7 @@ pub(crate) fn build(primitives: &[Primitive<'_>], drop_bad_faces: bool) -> Resul
 #[derive(Default)]
 struct Builder {
     drop_bad_faces: bool,
+    keep_duplicates: bool,
     mesh: Mesh,
     /// Index of the POSITION accessor of each block.
     accessors: Vec<usize>,
@@ -273,7 +278,7 @@ impl Builder {
                 *position = [0.0; 3];
             }
         }
-        let cleaned = clean(&self.mesh.positions, self.faces);
+        let cleaned = clean(&self.mesh.positions, self.faces, self.keep_duplicates);
         self.tally.degenerate = cleaned.degenerate;
         self.tally.duplicate = cleaned.duplicate;
         self.mesh.face_group = cleaned.faces.iter().map(|face| face.group).collect();

@@ -7,8 +7,8 @@ use crate::{
 use glam::DVec3;
 use globset::{Glob, GlobMatcher};
 use kiln_core::{
-    BakeSettings, Bounds, DigestBuilder, Kernel, MAX_CHANNELS, OutputSettings, Quality, Remap, Sampling, SolveSettings,
-    Target,
+    BakeSettings, Bounds, DigestBuilder, Kernel, MAX_CHANNELS, OutputSettings, Quality, Remap, Sampling, SkipRule,
+    SolveSettings, Target,
 };
 
 /// The grid that origins are on, metres: an edit moves the origin seldom, and its coordinates are exact.
@@ -110,7 +110,8 @@ pub(crate) fn resolve(
     let blend = blend(settings, sidecar, kernel.channel_count(), findings)?;
     let quality = settings.quality;
     let most = settings.max_samples_per_face.unwrap_or(quality.max_samples_per_face()).next_multiple_of(2);
-    let target = if settings.fixed_samples || settings.density_per_m2.is_some() {
+    let fixed = settings.fixed_samples || settings.no_skip.contains(&SkipRule::Adaptive);
+    let target = if fixed || settings.density_per_m2.is_some() {
         None
     } else {
         settings.target_rmse.map(Target::named).or_else(|| Target::of_quality(quality, faces, face_area_m2))
@@ -126,9 +127,14 @@ pub(crate) fn resolve(
         back_face_limit: settings.back_face_limit,
         seed: seed(settings),
         ground_plane_y_m: (settings.ground_plane && !bounds.is_empty()).then_some(bounds.min.y),
+        no_skip: SkipRule::of_sampling(&settings.no_skip),
         kernel,
     };
-    let solve = SolveSettings { regularization: settings.regularization, ..SolveSettings::default() };
+    let solve = SolveSettings {
+        regularization: settings.regularization,
+        rays_per_sample: sampling.rays_per_sample,
+        ..SolveSettings::default()
+    };
     Ok(Resolved { sampling, solve, output: OutputSettings { blend: Some(blend), ..settings.output.clone() } })
 }
 

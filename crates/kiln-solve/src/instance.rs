@@ -9,6 +9,7 @@ use crate::{
     fill::fill_unknowns,
     frame::Frame,
     parallel::solve_all,
+    residual::{Residuals, face_variances},
     surface::Surface,
     system::ComponentAnswer,
     weld::Weld,
@@ -106,11 +107,15 @@ pub fn solve_with(input: &SolveInput<'_>, params: &SolverParams) -> Result<Solut
     let assembly = Assembly::new(&surface, &Edges::new(&surface), input.moments, input.settings);
     let components = Components::new(&surface);
     let mut solved = Solved::new(&components, &assembly, params);
-    let summary = solved.summary(&surface, &components, &assembly, frame.unit_m);
+    let mut summary = solved.summary(&surface, &components, &assembly, frame.unit_m);
     if !fill_unknowns(&surface.points, &solved.valid, &mut solved.values, assembly.channels) {
         return Ok(input.unsampled(summary));
     }
-    Ok(input.solution(&weld, &solved.values, summary))
+    let variances = face_variances(&surface, input.moments, &solved.values, input.settings.rays_per_sample);
+    let (visible, channels) = (&assembly.visible, assembly.channels);
+    let residuals = Residuals { surface: &surface, visible, variances: &variances, channels };
+    summary.too_coarse = residuals.coarse_faces(frame.unit_m * frame.unit_m);
+    Ok(input.solution(&weld, &solved.values, &residuals.at_unknowns(), summary))
 }
 
 impl SolveInput<'_> {
@@ -156,17 +161,23 @@ impl SolveInput<'_> {
         summary.trace = self.moments.summary;
         summary.error.resize(channels, kiln_core::ErrorEstimate::default());
         let values = vec![1.0; self.mesh.positions.len() * channels];
-        Solution { channels: channels as u32, values, unsampled: true, summary }
+        let residuals = vec![0.0; values.len()];
+        Solution { channels: channels as u32, values, residuals, unsampled: true, summary }
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the output")]
-    fn solution(&self, weld: &Weld, values: &[f64], mut summary: SolveSummary) -> Solution {
+    fn solution(&self, weld: &Weld, values: &[f64], residuals: &[f64], mut summary: SolveSummary) -> Solution {
         let channels = self.moments.channel_count();
         summary.trace = self.moments.summary;
-        let of_unknown = |u: &u32| &values[*u as usize * channels..(*u as usize + 1) * channels];
-        let output = weld.unknown_of_vertex.iter().flat_map(of_unknown).map(|x| x.clamp(0.0, 1.0) as f32).collect();
-        Solution { channels: channels as u32, values: output, unsampled: false, summary }
+        let (values, residuals) = (at_vertices(weld, values, channels), at_vertices(weld, residuals, channels));
+        Solution { channels: channels as u32, values, residuals, unsampled: false, summary }
     }
+}
+
+/// What each vertex has of its unknown, clamped to [0, 1].
+#[expect(clippy::cast_possible_truncation, reason = "f32 is the precision of the output")]
+fn at_vertices(weld: &Weld, of_unknowns: &[f64], channels: usize) -> Vec<f32> {
+    let of_unknown = |u: &u32| &of_unknowns[*u as usize * channels..(*u as usize + 1) * channels];
+    weld.unknown_of_vertex.iter().flat_map(of_unknown).map(|x| x.clamp(0.0, 1.0) as f32).collect()
 }
 
 /// The answers of all components, by unknown.
@@ -238,6 +249,7 @@ impl Solved {
             iterations: self.iterations,
             visible_area_m2: differences.visible_area_m2(),
             error: differences.estimates(),
+            too_coarse: Default::default(),
             trace: Default::default(),
         }
     }

@@ -77,7 +77,8 @@ mod tests {
     }
 
     fn solution(values: [f32; 4], unsampled: bool) -> Solution {
-        Solution { channels: 1, values: values.to_vec(), unsampled, summary: SolveSummary::default() }
+        let summary = SolveSummary::default();
+        Solution { channels: 1, values: values.to_vec(), residuals: vec![0.0; 4], unsampled, summary }
     }
 
     fn fill(solutions: &mut [Solution], xs: &[f64]) -> u64 {

@@ -12,7 +12,8 @@
 //!    the correction `δ = x − x0`, so that what the averages get right (a constant) has no rounding to suffer.
 //! 6. [`components`] splits the unknowns, [`parallel`] hands them out; [`chain`] solves each by dense Cholesky or
 //!    conjugate gradients, else by sparse Cholesky, and [`certificate`] checks every answer before it is used.
-//! 7. [`fill`] gives values to what no sample reaches, [`estimate`] the error from the two halves.
+//! 7. [`fill`] gives values to what no sample reaches, [`estimate`] the error from the two halves, and [`residual`] says
+//!    where no linear function can hold the signal.
 //!
 //! All of it is f64 but for the recurrence of conjugate gradients, whose f32 is refined in f64 ([`pcg`]), with a
 //! fixed order of every sum: the result depends neither on the number of threads nor on
@@ -37,6 +38,7 @@ pub mod matrix;
 pub mod nearest;
 pub mod parallel;
 pub mod pcg;
+pub mod residual;
 pub mod samples;
 mod scaled;
 mod schwarz;

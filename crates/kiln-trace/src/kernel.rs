@@ -2,16 +2,14 @@
 //!
 //! `2^x` is our own polynomial, the same on every backend; `kiln-gpu` has it in WGSL (`kernel.wgsl`): keep in sync.
 
-use kiln_core::{Kernel, MAX_CHANNELS};
+pub use kiln_core::REACH_EPSILON;
+use kiln_core::{Kernel, MAX_CHANNELS, Sampling};
 
 /// The fixed-point value of an open ray.
 pub const ONE: u32 = 1 << 16;
 
 /// The most rays of one sample: its sums then fit in 32 bits.
 pub const MAX_RAYS_PER_SAMPLE: u32 = 1 << 15;
-
-/// A hit beyond the reach changes a ray's value by less than this.
-pub const REACH_EPSILON: f64 = 1.0 / 1024.0;
 
 /// A kernel in the form that tracers evaluate.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,6 +38,12 @@ impl KernelRates {
             }
         }
         rates
+    }
+
+    /// The kernel of a bake, whose rays may be without end.
+    #[expect(clippy::cast_possible_truncation, reason = "the ray path is f32")]
+    pub fn of(sampling: &Sampling) -> Self {
+        Self { t_max: sampling.reach_m().min(f64::from(f32::MAX)) as f32, ..Self::new(&sampling.kernel) }
     }
 
     /// Fixed-point value of a hit at distance `t` in a channel.

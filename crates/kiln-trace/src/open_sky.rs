@@ -1,9 +1,11 @@
 //! Finds samples that need no ray: nothing lies above their surface within reach, so that AO is 1.
 
 use crate::{
-    Scene,
+    CosineSums, ONE, Scene, SurfaceSample,
     bvh::{BvhNode, LEAF_BIT, MAX_STACK, NO_CHILD},
+    cosine_direction, orthonormal_basis,
     scene::linear,
+    sobol_point,
 };
 use glam::{Vec3, Vec4};
 
@@ -25,6 +27,20 @@ pub fn is_open_above(scene: &Scene, origin: Vec3, normal: Vec3, reach: f32) -> b
             (0..used).any(|lane| (0..3).any(|corner| inner.normal.dot(block.corner(corner, lane)) > inner.offset))
         })
     })
+}
+
+/// What tracing the rays of a sample would give that sees nothing. Rays are counted as one whole: without a ray above the
+/// surface, which no shading normal but a slanting one causes, the sample has none.
+pub fn open_sums(sample: &SurfaceSample, rays_per_sample: u32) -> CosineSums {
+    let basis = orthonormal_basis(sample.normal);
+    let is_above = |index: u32| {
+        let point = sobol_point(sample.first_index.wrapping_add(index), sample.scramble);
+        cosine_direction(point, sample.normal, basis).dot(sample.geometric) > 0.0
+    };
+    if !(0..rays_per_sample).any(is_above) {
+        return CosineSums::default();
+    }
+    CosineSums { values: [ONE * rays_per_sample; 4], rays: rays_per_sample, back_faces: 0 }
 }
 
 struct HalfSpace {

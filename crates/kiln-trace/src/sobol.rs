@@ -34,13 +34,19 @@ fn sobol_second_reversed(index: u32) -> u32 {
     x ^ ((x & 0xaaaa_aaaa) >> 1)
 }
 
+/// The coordinates of a point of the sequence before it is scrambled, 32-bit fixed-point numbers in [0, 1): linear in
+/// the bits of the index over GF(2).
+pub fn sobol_digits(index: u32) -> [u32; 2] {
+    [index, sobol_second_reversed(index)].map(u32::reverse_bits)
+}
+
 /// Point `index` of the scrambled sequence, each coordinate a multiple of 2⁻²⁴ in [0, 1). Any run of 2ᵏ points that
 /// starts at a multiple of 2ᵏ is a (0, k, 2)-net.
 #[expect(clippy::cast_precision_loss, reason = "24 bits fit")]
 pub fn sobol_point(index: u32, scramble: SobolScramble) -> [f32; 2] {
-    let x = laine_karras(index, scramble.0[0]).reverse_bits();
-    let y = laine_karras(sobol_second_reversed(index), scramble.0[1]).reverse_bits();
-    [x, y].map(|bits| (bits >> 8) as f32 * (1.0 / 16_777_216.0))
+    let [x, y] = sobol_digits(index);
+    [owen_scramble(x, scramble.0[0]), owen_scramble(y, scramble.0[1])]
+        .map(|bits| (bits >> 8) as f32 * (1.0 / 16_777_216.0))
 }
 
 #[cfg(test)]

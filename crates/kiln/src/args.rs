@@ -8,7 +8,7 @@ pub(crate) use bake::BakeArgs;
 pub(crate) use farm::{
     CancelArgs, FarmAddress, FetchArgs, LsArgs, RoleChoice, ServeArgs, SubmitArgs, WatchArgs, WorkerArgs,
 };
-pub(crate) use tools::{BenchArgs, CheckArgs, CompareArgs, ExampleArgs, ProbeArgs, ViewArgs};
+pub(crate) use tools::{BenchArgs, CheckArgs, CompareArgs, ExampleArgs, OverlayChoice, ProbeArgs, ViewArgs};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;

@@ -3,15 +3,18 @@
 mod args;
 mod commands;
 mod data_folder;
+mod difference;
 mod failure;
 mod gates;
 mod half_distances;
 mod local_farm;
+mod one_mesh;
 mod outcome;
 mod picture;
 mod progress;
 mod report;
 mod source;
+mod visibility;
 
 use args::{Cli, Command};
 use clap::Parser;

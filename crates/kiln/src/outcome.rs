@@ -5,7 +5,7 @@ use crate::{
     failure::{FAILED, Failure, INTERRUPTED},
     half_distances::channel_names,
     progress::{client_failure, stages},
-    report::{CacheCounts, Output, Run, report, warning_lines},
+    report::{CacheCounts, Output, Run, coarse_total, report, warning_lines},
 };
 use anyhow::Context;
 use kiln_core::{BakeSettings, Baked, Digest, codec};
@@ -47,6 +47,7 @@ impl Outcome {
             stages: &stages(&self.bake),
             seconds,
             cache: self.cache(),
+            rays_traced: self.bake.stages.iter().map(|stage| stage.rays_traced).sum(),
             answered_from_store: self.bake.result.as_ref().is_some_and(|r| r.answered_from_store),
             outputs,
         };
@@ -84,6 +85,15 @@ impl Outcome {
             println!(
                 "half-distance {name}: estimated RMSE {:.4}, p99 {:.4}, max {:.3}",
                 error.rmse, error.p99, error.max
+            );
+        }
+        let (coarse, share) = coarse_total(summary);
+        if coarse.count > 0 {
+            println!(
+                "too coarse for its shadows: {} faces ({:.2} % of the area that can be seen); `kiln bake --residual` and \
+                 `kiln view --overlay residual` show where",
+                coarse.count,
+                100.0 * share
             );
         }
         for output in outputs {

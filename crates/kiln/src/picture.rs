@@ -2,8 +2,10 @@
 
 mod camera;
 mod png_file;
+mod ramp;
 mod render;
 
 pub(crate) use camera::Camera;
 pub(crate) use png_file::{Image, write_png};
+pub(crate) use ramp::{TICK, TOP};
 pub(crate) use render::{Shading, render};

@@ -1,12 +1,17 @@
 //! report.json: what was done, how well, and how long it took. The schema is in docs/report.md.
 
-use kiln_core::{BakeSettings, BakeSummary, ComponentMethod, Digest, ErrorEstimate, Warning};
+mod coarse;
+mod skips;
+
+pub(crate) use coarse::coarse_total;
+
+use kiln_core::{BakeSettings, BakeSummary, ComponentMethod, Digest, ErrorEstimate, MeshSummary, Warning};
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 
 /// Version of the schema.
-pub(crate) const SCHEMA: u32 = 2;
+pub(crate) const SCHEMA: u32 = 3;
 
 /// One stage of a bake.
 #[derive(Clone, Debug, Serialize)]
@@ -40,6 +45,8 @@ pub(crate) struct Run<'a> {
     pub(crate) stages: &'a [Stage],
     pub(crate) seconds: f64,
     pub(crate) cache: BTreeMap<String, CacheCounts>,
+    /// Rays that this bake traced; the others of its result were known.
+    pub(crate) rays_traced: u64,
     /// The whole answer was known from an earlier bake.
     pub(crate) answered_from_store: bool,
     pub(crate) outputs: &'a [Output],
@@ -64,18 +71,13 @@ pub(crate) fn report(summary: &BakeSummary, run: &Run<'_>) -> Value {
         "settings": { "requested": run.settings, "resolved": summary.sampling },
         "backend": run.backend,
         "samples": { "total": summary.trace.samples, "invalid": summary.trace.invalid },
-        "rays": {
-            "traced": summary.trace.rays,
-            "saved_by": {
-                "empty_hemisphere": summary.trace.rays_skipped_empty,
-                "buried_faces": summary.trace.rays_skipped_buried,
-                "adaptive_sampling": summary.trace.rays_saved_adaptive,
-            },
-        },
+        "rays": skips::rays(summary, run.rays_traced),
+        "left_out": skips::left_out(summary),
         "stages": run.stages,
         "seconds": run.seconds,
         "peak_memory_bytes": peak_memory_bytes(),
         "error_estimate": errors(&summary.error),
+        "too_coarse": coarse::of_level(summary),
         "solve": solves(summary),
         "meshes": meshes(summary),
         "cache": {
@@ -95,7 +97,7 @@ fn errors(estimates: &[ErrorEstimate]) -> Value {
 /// One entry for each instance that was solved.
 fn solves(summary: &BakeSummary) -> Vec<Value> {
     let name = |method: &ComponentMethod| serde_json::to_value(method).unwrap_or(Value::Null);
-    let one = |mesh: &kiln_core::MeshSummary| {
+    let one = |mesh: &MeshSummary| {
         let s = &mesh.solve;
         let methods: serde_json::Map<String, Value> =
             s.methods.iter().map(|(m, n)| (name(m).as_str().unwrap_or("other").to_owned(), json!(n))).collect();
@@ -109,11 +111,12 @@ fn solves(summary: &BakeSummary) -> Vec<Value> {
 
 /// Samples and error of each instance.
 fn meshes(summary: &BakeSummary) -> Vec<Value> {
-    let one = |mesh: &kiln_core::MeshSummary| {
+    let one = |mesh: &MeshSummary| {
         json!({
             "node": mesh.node, "mesh": mesh.mesh,
             "samples": mesh.solve.trace.samples, "invalid": mesh.solve.trace.invalid,
             "visible_area_m2": mesh.solve.visible_area_m2, "error_estimate": errors(&mesh.solve.error),
+            "too_coarse": coarse::of_instance(mesh),
         })
     };
     summary.meshes.iter().map(one).collect()

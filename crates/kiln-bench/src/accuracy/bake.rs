@@ -77,6 +77,7 @@ fn pieces<'a>(receiver: &'a Receiver, density_per_m2: f64, sampling: &'a Samplin
         faces: faces.start as usize..faces.end as usize,
         density_per_m2,
         sampling,
+        occluders_m: kiln_core::Bounds::EMPTY,
     })
 }
 

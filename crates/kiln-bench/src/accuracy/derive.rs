@@ -11,6 +11,9 @@ use serde::Serialize;
 /// The row that adaptive sampling is measured by: 256 rays per sample, 4 samples per face.
 pub(super) const YARDSTICK: &str = "4 × 256";
 
+/// The rows of Kiln's qualities.
+const QUALITIES: [&str; 3] = ["low", "medium", "high"];
+
 /// Surface errors at equal rays.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct EqualRays {
@@ -72,6 +75,8 @@ impl Calibration {
 pub(super) struct ChannelResult {
     /// At the ray counts of all fixed rows.
     pub(super) equal_rays: Vec<EqualRays>,
+    /// At the rays that Kiln's qualities take here: what bakes really spend.
+    pub(super) at_qualities: Vec<EqualRays>,
     /// Against fixed counts.
     pub(super) against_fixed: Option<EqualError>,
     /// Against random directions.
@@ -83,10 +88,12 @@ pub(super) struct ChannelResult {
 /// Over all scenes.
 #[derive(Clone, Debug, Default, Serialize)]
 pub(super) struct Overall {
-    /// Scenes where least squares has the lowest surface RMSE at every ray count and half-distance.
-    pub(super) lowest_at_equal_rays: usize,
+    /// Scenes where least squares has the lowest surface RMSE at the rays of every quality, at every half-distance.
+    pub(super) lowest_at_qualities: usize,
     /// Scenes where that could be told.
-    pub(super) compared_at_equal_rays: usize,
+    pub(super) compared_at_qualities: usize,
+    /// Ray counts of fixed rows, over scenes and half-distances, at which least squares is lowest, and all.
+    pub(super) lowest_and_all_counts: [usize; 2],
     /// Geometric mean over scenes and half-distances of Kiln's time to reach the error of fixed counts, as a fraction.
     pub(super) time_ratio_to_fixed: Option<f64>,
     /// Half-distances of scenes that this mean is over, and those where Kiln's curve ends above the yardstick.
@@ -126,16 +133,28 @@ fn of_channel(result: &SceneResult, rows: &[RowSummary], channel: usize) -> Chan
         let estimated = *row.reported_rmse.get(channel)?;
         (actual > 0.0).then(|| Calibration { label: row.label.clone(), estimated, actual })
     };
+    let at = |rays: Vec<f64>| {
+        equal_rays(rays, &surface(Family::Fixed), &surface(Family::Average), &surface(Family::Vertices))
+    };
+    let rays_of = |family: Family, is_meant: fn(&str) -> bool| {
+        rows.iter().filter(|row| row.family == family && is_meant(&row.label)).map(|row| row.rays).collect()
+    };
     ChannelResult {
-        equal_rays: equal_rays(&surface(Family::Fixed), &surface(Family::Average), &surface(Family::Vertices)),
+        equal_rays: at(rays_of(Family::Fixed, |_| true)),
+        at_qualities: at(rays_of(Family::Kiln, |label| QUALITIES.contains(&label))),
         against_fixed: against(Family::Fixed),
         against_random: against(Family::Random),
         calibration: rows.iter().filter(|row| row.family == Family::Kiln).filter_map(calibration).collect(),
     }
 }
 
-fn equal_rays(fixed: &[(f64, f64)], average: &[(f64, f64)], vertices: &[(f64, f64)]) -> Vec<EqualRays> {
-    let mut counts: Vec<f64> = fixed.iter().map(|point| point.0).collect();
+/// The methods at the given numbers of rays, where there is something to compare.
+fn equal_rays(
+    mut counts: Vec<f64>,
+    fixed: &[(f64, f64)],
+    average: &[(f64, f64)],
+    vertices: &[(f64, f64)],
+) -> Vec<EqualRays> {
     counts.sort_by(f64::total_cmp);
     let at = |rays: f64| {
         let (average, vertices) = (best_within(average, rays), best_within(vertices, rays));
@@ -149,17 +168,19 @@ fn equal_rays(fixed: &[(f64, f64)], average: &[(f64, f64)], vertices: &[(f64, f6
 pub(super) fn overall(scenes: &[Vec<ChannelResult>]) -> Overall {
     let compared: Vec<bool> = scenes
         .iter()
-        .filter(|channels| channels.iter().any(|channel| !channel.equal_rays.is_empty()))
-        .map(|channels| channels.iter().flat_map(|channel| &channel.equal_rays).all(EqualRays::is_lowest))
+        .filter(|channels| channels.iter().any(|channel| !channel.at_qualities.is_empty()))
+        .map(|channels| channels.iter().flat_map(|channel| &channel.at_qualities).all(EqualRays::is_lowest))
         .collect();
     let all = || scenes.iter().flatten();
+    let counts = || all().flat_map(|channel| &channel.equal_rays);
     let (time_ratio_to_fixed, fixed_reached_and_missed) = ratios(all().filter_map(|c| c.against_fixed));
     let (time_ratio_to_random, random_reached_and_missed) = ratios(all().filter_map(|c| c.against_random));
     let calibrations = || all().flat_map(|channel| &channel.calibration);
     let is_calibrated = |calibration: &&Calibration| (0.75..=1.25).contains(&calibration.ratio());
     Overall {
-        lowest_at_equal_rays: compared.iter().filter(|lowest| **lowest).count(),
-        compared_at_equal_rays: compared.len(),
+        lowest_at_qualities: compared.iter().filter(|lowest| **lowest).count(),
+        compared_at_qualities: compared.len(),
+        lowest_and_all_counts: [counts().filter(|equal| equal.is_lowest()).count(), counts().count()],
         time_ratio_to_fixed,
         fixed_reached_and_missed,
         time_ratio_to_random,
@@ -183,11 +204,11 @@ mod tests {
         let fixed = [(100.0, 0.05), (400.0, 0.02), (400.0, 0.03)];
         let average = [(100.0, 0.06), (400.0, 0.055)];
         let vertices = [(90.0, 0.04), (500.0, 0.01)];
-        let found = equal_rays(&fixed, &average, &vertices);
-        assert_eq!(found.len(), 3);
+        let found = equal_rays(vec![400.0, 100.0, 90.0], &fixed, &average, &vertices);
+        assert_eq!(found.len(), 2, "no least squares of 90 rays");
         assert!(!found[0].is_lowest(), "the vertices are better at 100 rays");
         assert!(found[1].is_lowest() && found[1].least_squares == 0.02 && found[1].vertices == Some(0.04));
-        assert!(equal_rays(&fixed, &[], &[]).is_empty(), "nothing to compare with");
+        assert!(equal_rays(vec![400.0], &fixed, &[], &[]).is_empty(), "nothing to compare with");
     }
 
     #[test]

@@ -110,7 +110,8 @@ pub(super) fn averages(scene: &BenchScene, moments: &[FaceMoments]) -> Solved {
         let averaged = averages_of(scene, receiver, moments);
         let unsampled = averaged.is_none();
         let values = averaged.unwrap_or_else(|| vec![1.0; vertices * channels]);
-        Solution { channels: channels as u32, values, unsampled, summary: SolveSummary::default() }
+        let residuals = vec![0.0; values.len()];
+        Solution { channels: channels as u32, values, residuals, unsampled, summary: SolveSummary::default() }
     };
     let mut solutions: Vec<Solution> = scene.receivers.par_iter().zip(moments).map(one).collect();
     bake::fill(scene, &mut solutions);

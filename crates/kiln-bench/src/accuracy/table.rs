@@ -67,7 +67,13 @@ fn verdicts(out: &mut String, scene: &SceneReport) -> Result {
         if !channel.equal_rays.is_empty() {
             let lowest = channel.equal_rays.iter().filter(|equal| EqualRays::is_lowest(equal)).count();
             let all = channel.equal_rays.len();
-            writeln!(out, "{distance} m: least squares lowest on the surface at {lowest} of {all} ray counts")?;
+            let qualities = channel.at_qualities.iter().filter(|equal| EqualRays::is_lowest(equal)).count();
+            writeln!(
+                out,
+                "{distance} m: least squares lowest on the surface at the rays of {qualities} of {} qualities, and at \
+                 {lowest} of {all} ray counts",
+                channel.at_qualities.len()
+            )?;
         }
         for (name, equal) in [("fixed", &channel.against_fixed), ("random", &channel.against_random)] {
             let Some(equal) = equal else { continue };
@@ -84,14 +90,16 @@ pub(super) fn overall(overall: &Overall) -> String {
     let ratio = |ratio: Option<f64>| ratio.map_or("-".to_owned(), |ratio| format!("{ratio:.3}"));
     let [fixed, fixed_missed] = overall.fixed_reached_and_missed;
     let [random, random_missed] = overall.random_reached_and_missed;
+    let [lowest, counts] = overall.lowest_and_all_counts;
     let [calibrated, calibrations] = overall.calibrated_and_all;
     format!(
-        "\nleast squares lowest at equal rays on {} of {} scenes\ntime to the error of fixed 4 × 256: {} of its \
+        "\nleast squares lowest at the rays of all three qualities on {} of {} scenes, and at {lowest} of \
+         {counts} ray counts\ntime to the error of fixed 4 × 256: {} of its \
          ({fixed} half-distances, {fixed_missed} not reached)\ntime to the error of random 4 × 256: {} of its \
          ({random} half-distances, {random_missed} not reached)\nown estimates within ±25 %: {calibrated} of \
          {calibrations}\n",
-        overall.lowest_at_equal_rays,
-        overall.compared_at_equal_rays,
+        overall.lowest_at_qualities,
+        overall.compared_at_qualities,
         ratio(overall.time_ratio_to_fixed),
         ratio(overall.time_ratio_to_random),
     )

@@ -6,7 +6,7 @@ use crate::{
     job::{Job, Order, Outcome, Phase},
     lanes, store_status,
 };
-use kiln_core::{Digest, JobId};
+use kiln_core::{Digest, JobId, SkipRule};
 use kiln_proto::{FieldError, Submission, limits, status, v1};
 use kiln_schedule::Event;
 use kiln_store::{JournalEvent, StoreError, SubmittedJob};
@@ -65,6 +65,8 @@ impl Dispatcher {
         let id = JobId(self.next_job);
         self.next_job += 1;
         self.requests.insert(submission.request_id.clone(), Known { payload, job: id });
+        let no_skip = &submission.source.settings.no_skip;
+        let skips_unchanged = !no_skip.contains(&SkipRule::Unchanged);
         let order = Order {
             id,
             request_id: submission.request_id,
@@ -75,6 +77,7 @@ impl Dispatcher {
             name: submission.name,
             tenant: submission.tenant,
             submitted_unix_ms: unix_ms(),
+            skips_unchanged,
         };
         let event = JournalEvent::JobSubmitted(SubmittedJob {
             job: id,

@@ -116,7 +116,7 @@ impl Dispatcher {
 
     pub(super) fn answered(&mut self, id: JobId, found: Option<Box<(Answer, Baked)>>) {
         let Some(job) = self.jobs.get_mut(&id) else { return };
-        let Some(found) = found else {
+        let Some(found) = found.filter(|_| job.order.skips_unchanged) else {
             let steps = job.no_answer();
             self.walk(id, steps);
             return;
@@ -135,8 +135,9 @@ impl Dispatcher {
 
     pub(super) fn looked_up(&mut self, id: JobId, found: Vec<(Node, Option<Digest>)>) {
         let (mut steps, mut missing) = (Vec::new(), Vec::new());
+        let skips = self.jobs.get(&id).is_some_and(|job| job.order.skips_unchanged);
         for (node, result) in found {
-            let Some(result) = result else {
+            let Some(result) = result.filter(|_| skips) else {
                 missing.push((id, node));
                 continue;
             };

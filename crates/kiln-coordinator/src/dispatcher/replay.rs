@@ -50,7 +50,9 @@ pub(super) fn replay(store: &Store) -> Result<Replayed, StartError> {
 fn remember(store: &Store, submitted: SubmittedJob) -> Result<Remembered, StoreError> {
     let request = store.get(&submitted.payload)?;
     let request = request.and_then(|bytes| v1::SubmitBakeRequest::decode(bytes.as_slice()).ok());
-    let backend = request.map_or(v1::Backend::Auto, |request| request.backend());
+    let backend = request.as_ref().map_or(v1::Backend::Auto, v1::SubmitBakeRequest::backend);
+    let settings = request.and_then(|request| request.source?.settings);
+    let unchanged = i32::from(v1::SkipRule::Unchanged);
     let order = Order {
         id: submitted.job,
         request_id: submitted.request_id,
@@ -61,6 +63,7 @@ fn remember(store: &Store, submitted: SubmittedJob) -> Result<Remembered, StoreE
         name: submitted.name,
         tenant: submitted.tenant,
         submitted_unix_ms: submitted.submitted_unix_ms,
+        skips_unchanged: settings.is_none_or(|settings| !settings.no_skip.contains(&unchanged)),
     };
     Ok(Remembered { order, lane: submitted.lane, paused: false, ended: None })
 }

@@ -86,6 +86,8 @@ pub(crate) struct Order {
     pub(crate) name: String,
     pub(crate) tenant: String,
     pub(crate) submitted_unix_ms: u64,
+    /// Results that the store has are taken, and not made again.
+    pub(crate) skips_unchanged: bool,
 }
 
 /// One bake.

@@ -47,6 +47,7 @@ fn sampling() -> Sampling {
         back_face_limit: 0.25,
         seed: 0,
         ground_plane_y_m: None,
+        no_skip: std::collections::BTreeSet::new(),
     }
 }
 
@@ -61,6 +62,7 @@ fn job() -> Job {
         name: "level".into(),
         tenant: String::new(),
         submitted_unix_ms: 5,
+        skips_unchanged: true,
     };
     Job::new(order, EventLog::new(0, 16))
 }
@@ -75,6 +77,7 @@ pub(crate) fn baked() -> Baked {
         counts: LevelCounts::default(),
         sampling: sampling(),
         trace: TraceSummary::default(),
+        beyond_reach: kiln_core::BeyondReach::default(),
         error: Vec::new(),
         meshes: Vec::new(),
         warnings: Vec::new(),

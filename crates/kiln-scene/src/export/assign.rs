@@ -3,7 +3,7 @@
 use super::{
     Target, array_mut,
     buffers::{Attributes, Binary},
-    values::{block_values, color_exists, color_width, colors, greys},
+    values::{block_values, color_exists, color_width, colors, greys, of_block},
 };
 use crate::{
     SceneError,
@@ -17,6 +17,14 @@ use crate::{
 use kiln_core::{Attribute, ColorMode, Level, VertexBlock};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
+
+/// The attribute that says how far the signal strays from the values around a vertex.
+pub(crate) const RESIDUAL: &str = "_AO_RESIDUAL";
+
+/// The blocks of a target's vertices that primitives use.
+fn blocks<'t>(target: &'t Target<'_>) -> impl Iterator<Item = &'t VertexBlock> {
+    target.entry.blocks.iter().filter(|block| !block.primitives.is_empty())
+}
 
 /// Adds the values of all targets to `root` and `binary`.
 pub(super) fn assign(
@@ -92,6 +100,7 @@ impl Assigner<'_, '_> {
         let item =
             list.get(source).ok_or_else(|| self.document.root().invalid(format!("there is no mesh {source}")))?;
         let mut mesh = item.value().clone();
+        self.drop_residuals(target, &mut mesh);
         for (primitive, attribute, accessor) in self.accessors(target, &item)? {
             mesh["primitives"][primitive]["attributes"][attribute] = json!(accessor);
         }
@@ -112,24 +121,48 @@ impl Assigner<'_, '_> {
         target: &Target<'_>,
         mesh: &Item<'_>,
     ) -> Result<Vec<(usize, &'static str, usize)>, SceneError> {
-        let blocks = || target.entry.blocks.iter().filter(|block| !block.primitives.is_empty());
         let attribute = self.level.output.attribute;
         let mut assigned = Vec::new();
         if attribute != Attribute::Color {
-            let channels = self.level.sampling.kernel.channel_count();
-            let mut attributes = Attributes::new(self.level.output.format, channels);
-            blocks().for_each(|block| attributes.add_run(block_values(target, block, channels)));
-            let accessors = self.add(&attributes)?;
-            for (block, accessor) in blocks().zip(accessors) {
-                assigned.extend(block.primitives.iter().map(|&primitive| (primitive as usize, "_AO", accessor)));
-            }
+            self.add_numbers(target, "_AO", target.values, &mut assigned)?;
         }
         if attribute != Attribute::Ao {
-            for block in blocks() {
+            for block in blocks(target) {
                 self.add_colors(target, block, mesh, &mut assigned)?;
             }
         }
+        if let Some(residuals) = target.residuals {
+            self.add_numbers(target, RESIDUAL, residuals, &mut assigned)?;
+        }
         Ok(assigned)
+    }
+
+    /// Adds `vertices × channels` numbers as an attribute, one component for each half-distance.
+    fn add_numbers(
+        &mut self,
+        target: &Target<'_>,
+        attribute: &'static str,
+        numbers: &[f32],
+        assigned: &mut Vec<(usize, &'static str, usize)>,
+    ) -> Result<(), SceneError> {
+        let channels = self.level.sampling.kernel.channel_count();
+        let mut attributes = Attributes::new(self.level.output.format, channels);
+        blocks(target).for_each(|block| attributes.add_run(of_block(numbers, block, channels)));
+        for (block, accessor) in blocks(target).zip(self.add(&attributes)?) {
+            assigned.extend(block.primitives.iter().map(|&primitive| (primitive as usize, attribute, accessor)));
+        }
+        Ok(())
+    }
+
+    /// Takes residuals of an earlier bake off the primitives that get values: they are not those of the new ones.
+    fn drop_residuals(&self, target: &Target<'_>, mesh: &mut Value) {
+        if self.level.output.attribute == Attribute::Color || target.residuals.is_some() {
+            return;
+        }
+        for &primitive in blocks(target).flat_map(|block| &block.primitives) {
+            let attributes = mesh["primitives"][primitive as usize]["attributes"].as_object_mut();
+            attributes.and_then(|attributes| attributes.shift_remove(RESIDUAL));
+        }
     }
 
     /// Adds the colours of a block's primitives; those without a colour, or with the same, share an accessor.

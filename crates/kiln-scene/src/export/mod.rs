@@ -19,6 +19,7 @@ use crate::{
     glb::{Glb, GlbError},
     limits,
 };
+pub(crate) use assign::RESIDUAL;
 use assign::assign;
 use buffers::Binary;
 use kiln_core::{Digest, Instance, Kernel, Level, MeshEntry, Warning};
@@ -32,6 +33,8 @@ pub struct BakedInstance<'a> {
     pub instance: usize,
     /// `vertices × channels` values from 0 to 1, in the order of the mesh's vertices.
     pub values: &'a [f32],
+    /// Deviations in the same form, for `_AO_RESIDUAL`; not read where the level's output doesn't ask for them.
+    pub residuals: &'a [f32],
 }
 
 /// What to export.
@@ -67,6 +70,8 @@ struct Target<'a> {
     entry: &'a MeshEntry,
     /// `vertices × channels`.
     values: &'a [f32],
+    /// Likewise, if they are wanted.
+    residuals: Option<&'a [f32]>,
 }
 
 /// Writes the source with the values added.
@@ -119,12 +124,10 @@ fn targets<'a>(request: &ExportRequest<'a>, document: &Document<'_>) -> Result<V
         if !seen.insert(baked.instance) {
             return Err(mismatch("it has values twice"));
         }
-        if baked.values.len() != entry.vertex_count as usize * channels {
-            let (found, vertices) = (baked.values.len(), entry.vertex_count);
-            return Err(mismatch(&format!("it has {found} values for {vertices} vertices × {channels} channels")));
-        }
-        if !baked.values.iter().all(|value| value.is_finite()) {
-            return Err(mismatch("a value is not finite"));
+        let residuals = request.level.output.residual.then_some(baked.residuals);
+        for (what, numbers) in [("value", Some(baked.values)), ("residual", residuals)] {
+            let Some(numbers) = numbers else { continue };
+            check_numbers(what, numbers, entry.vertex_count as usize, channels).map_err(|p| mismatch(&p))?;
         }
         let node = document.list("nodes")?.get(instance.node as usize);
         let mesh = node.and_then(|node| node.get("mesh")).and_then(|mesh| mesh.index().ok());
@@ -134,9 +137,20 @@ fn targets<'a>(request: &ExportRequest<'a>, document: &Document<'_>) -> Result<V
         if !blocks_fit(document, entry)? {
             return Err(mismatch("the source has other primitives in its mesh"));
         }
-        targets.push(Target { instance, entry, values: baked.values });
+        targets.push(Target { instance, entry, values: baked.values, residuals });
     }
     Ok(targets)
+}
+
+/// Checks that there is a finite number for each vertex and channel, or says what is wrong.
+fn check_numbers(what: &str, numbers: &[f32], vertices: usize, channels: usize) -> Result<(), String> {
+    if numbers.len() != vertices * channels {
+        return Err(format!("it has {} {what}s for {vertices} vertices × {channels} channels", numbers.len()));
+    }
+    match numbers.iter().all(|number| number.is_finite()) {
+        true => Ok(()),
+        false => Err(format!("a {what} is not finite")),
+    }
 }
 
 /// Whether the primitives that get values are in the source, with as many vertices as the level says.

@@ -259,6 +259,37 @@ fn existing_colors_are_multiplied_or_replaced() {
 }
 
 #[test]
+fn residuals_are_written_where_they_are_wanted() {
+    for format in [ValueFormat::F32, ValueFormat::U16] {
+        let with = |residual| {
+            let output = OutputSettings { format, residual, ..OutputSettings::default() };
+            bake(&Fixture::square(), &BakeSettings { output, ..default() })
+        };
+        let (plain, baked) = (with(false), with(true));
+        let attributes = |baked: &Baked| baked.json["meshes"][0]["primitives"][0]["attributes"].clone();
+        assert!(attributes(&plain).get("_AO_RESIDUAL").is_none());
+        let attribute = gltf::Semantic::Extras("AO_RESIDUAL".to_owned());
+        let expected: Vec<f32> = baked.values[0].iter().rev().copied().collect();
+        let close = |found: &[f32]| found.iter().zip(&expected).all(|(a, b)| (a - b).abs() <= 1e-5);
+        let foreign = foreign_values(&baked.exported.glb, 0, 0, &attribute);
+        assert!(foreign.len() == 8 && close(&foreign), "{foreign:?}");
+        // What a default bake writes is the start of it; Kiln reads both back.
+        assert!(baked.bin.starts_with(&plain.bin[..plain.bin.len()]));
+        assert_eq!(attributes(&baked)["_AO"], attributes(&plain)["_AO"]);
+        let read = |baked: &Baked| {
+            let files: Files = [("b.glb".to_owned(), baked.exported.glb.clone())].into();
+            read_baked("b.glb", &files).unwrap().parts.remove(0)
+        };
+        assert_eq!((read(&plain).residual_channels, read(&plain).residual.len()), (0, 0));
+        assert!(read(&baked).residual_channels == 2 && close(&read(&baked).residual));
+        // Baked again without, the old ones are gone: they are not those of the new values.
+        let files: Files = [("level.glb".to_owned(), baked.exported.glb.clone())].into();
+        let again = bake_files("level.glb", &files, &default());
+        assert!(attributes(&again).get("_AO_RESIDUAL").is_none() && attributes(&again).get("_AO").is_some());
+    }
+}
+
+#[test]
 fn baking_a_baked_file_replaces_its_values() {
     let once = bake(&Fixture::square(), &default());
     let files: Files = [("level.glb".to_owned(), once.exported.glb.clone())].into();
@@ -291,12 +322,18 @@ fn what_does_not_fit_is_refused() {
         export(&ExportRequest { level_name, files, level, level_digest, version, values }).map(|_| ())
     };
     let refused = |values: &[BakedInstance<'_>]| export_with(&files, values).unwrap_err();
-    let good = BakedInstance { instance: 0, values: &[0.5; 8] };
+    let good = BakedInstance { instance: 0, values: &[0.5; 8], residuals: &[] };
     assert_eq!(export_with(&files, &[good]), Ok(()));
     assert_eq!(refused(&[good, good]).kind(), ErrorKind::Internal);
     assert_eq!(refused(&[BakedInstance { instance: 1, ..good }]).kind(), ErrorKind::Internal);
     assert!(refused(&[BakedInstance { values: &[0.5; 7], ..good }]).to_string().contains("7 values for 4 vertices"));
     assert!(refused(&[BakedInstance { values: &[f32::NAN; 8], ..good }]).to_string().contains("not finite"));
+    let mut level = import.level.clone();
+    level.output.residual = true;
+    let (level_name, level_digest, version) = ("level.glb", Digest::default(), "0");
+    let values = &[BakedInstance { residuals: &[0.5; 7], ..good }];
+    let request = ExportRequest { level_name, files: &files, level: &level, level_digest, version, values };
+    assert!(export(&request).unwrap_err().to_string().contains("7 residuals for 4 vertices"));
     let mut other = Fixture::new();
     let position = other.floats(&SQUARE[..3]);
     let mesh = other.mesh("m", &json!([{ "attributes": { "POSITION": position } }]));

@@ -6,8 +6,13 @@ use kiln_core::{ColorMode, OutputSettings, Remap, VertexBlock};
 
 /// The values of one block's vertices.
 pub(super) fn block_values<'a>(target: &Target<'a>, block: &VertexBlock, channels: usize) -> &'a [f32] {
+    of_block(target.values, block, channels)
+}
+
+/// What one block's vertices have of `vertices × channels` numbers.
+pub(super) fn of_block<'a>(numbers: &'a [f32], block: &VertexBlock, channels: usize) -> &'a [f32] {
     let first = block.first_vertex as usize * channels;
-    &target.values[first..first + block.vertex_count as usize * channels]
+    &numbers[first..first + block.vertex_count as usize * channels]
 }
 
 /// One grey for each vertex: the blend of the half-distances, remapped.

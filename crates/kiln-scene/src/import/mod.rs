@@ -70,7 +70,7 @@ pub fn import(
     let gathered = gather(&document, &placements, &rules, &mut findings)?;
     check_only(settings, &gathered)?;
 
-    let cast = cast_all(&gathered, settings.drop_bad_faces)?;
+    let cast = cast_all(&gathered, settings)?;
     report(&gathered, &cast, &mut findings);
     let world = cast.iter().fold(Bounds::EMPTY, |mut all, cast| {
         all.merge(&cast.world_bounds);
@@ -145,8 +145,8 @@ impl Areas {
 }
 
 /// Reads, cleans and encodes every variant, in parallel; the first error in the order of variants counts.
-fn cast_all(gathered: &Gathered<'_>, drop_bad_faces: bool) -> Result<Vec<Cast>, SceneError> {
-    let cast = |variant: &Variant<'_>| build(&variant.primitives, drop_bad_faces).map(|b| cast(variant, b, gathered));
+fn cast_all(gathered: &Gathered<'_>, settings: &BakeSettings) -> Result<Vec<Cast>, SceneError> {
+    let cast = |variant: &Variant<'_>| build(&variant.primitives, settings).map(|b| cast(variant, b, gathered));
     let all: Vec<Result<Cast, SceneError>> = gathered.variants.par_iter().map(cast).collect();
     all.into_iter().collect()
 }
@@ -162,6 +162,7 @@ fn cast(variant: &Variant<'_>, built: Built, gathered: &Gathered<'_>) -> Cast {
         name: variant.name.clone(),
         vertex_count: mesh.positions.len() as u32,
         face_count: mesh.faces.len() as u32,
+        duplicate_faces: u32::try_from(tally.duplicate).unwrap_or(u32::MAX),
         bounds,
         source_mesh: variant.source_mesh as u32,
         blocks,
@@ -304,5 +305,6 @@ fn bytes_per_vertex(output: &OutputSettings, channels: usize) -> u64 {
     let component = if output.format == ValueFormat::U16 { 2 } else { 4 };
     let ao = if output.attribute == Attribute::Color { 0 } else { (channels * component).next_multiple_of(4) };
     let color = if output.attribute == Attribute::Ao { 0 } else { (3 * component).next_multiple_of(4) };
-    (ao + color) as u64
+    let residual = if output.residual { (channels * component).next_multiple_of(4) } else { 0 };
+    (ao + color + residual) as u64
 }

@@ -46,7 +46,7 @@ fn golden_import() {
     let import = rich().import().unwrap();
     let digest = Digest::of(&codec::encode(&import.level));
     assert_eq!(import.level.instances.len(), 3);
-    assert_eq!(digest.to_string(), "812019265c8fb5c52f040df290539a12c78261c6c4fba0e800d28da2ebac39c9");
+    assert_eq!(digest.to_string(), "d5761e96ee1aca8fdff5412660ac330d8e7d4c232a793f548f7f4eccb7cca08f");
 }
 
 proptest! {

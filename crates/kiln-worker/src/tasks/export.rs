@@ -5,8 +5,10 @@ use super::{
     import::{LoadedFiles, manifest},
 };
 use crate::{Artefacts, TaskError, TaskOutput};
+use glam::DVec3;
 use kiln_core::{
-    BakeSummary, Baked, Digest, ErrorEstimate, ExportSpec, MeshSummary, Solution, TraceSummary, Warning, codec,
+    BakeSummary, Baked, BeyondReach, CoarseFaces, Digest, ErrorEstimate, ExportSpec, Instance, MeshSummary, Solution,
+    TraceSummary, Warning, codec,
 };
 use kiln_scene::{BakedInstance, ExportRequest};
 use kiln_solve::{LevelInstance, fill_unsampled};
@@ -20,7 +22,10 @@ pub(super) fn run(spec: &ExportSpec, level: &LoadedLevel, artefacts: &dyn Artefa
     let values: Vec<BakedInstance<'_>> = indices
         .iter()
         .zip(&solutions)
-        .map(|(&instance, solution)| BakedInstance { instance: instance as usize, values: &solution.values })
+        .map(|(&instance, Solution { values, residuals, .. })| {
+            let instance = instance as usize;
+            BakedInstance { instance, values, residuals }
+        })
         .collect();
     let request = ExportRequest {
         level_name: &level_name,
@@ -85,19 +90,61 @@ fn fill(level: &LoadedLevel, indices: &[u32], solutions: &mut [Solution]) -> Res
 fn summary(level: &LoadedLevel, indices: &[u32], solutions: &[Solution], warnings: Vec<Warning>) -> BakeSummary {
     let mut trace = TraceSummary::default();
     solutions.iter().for_each(|solution| trace.merge(&solution.summary.trace));
+    trace.rays_skipped_duplicate = rays_of_duplicates(level, indices, solutions);
     let mesh = |(&index, solution): (&u32, &Solution)| {
         let instance = &level.level.instances[index as usize];
         let mesh = level.level.meshes[instance.mesh as usize].name.clone();
-        MeshSummary { node: instance.name.clone(), mesh, solve: solution.summary.clone() }
+        let solve = solution.summary.clone();
+        let coarse_centers_m = centers_m(level, instance, &solve.too_coarse);
+        MeshSummary { node: instance.name.clone(), mesh, solve, coarse_centers_m }
     };
     BakeSummary {
         level: level.digest,
         counts: level.level.counts.clone(),
         sampling: level.level.sampling.clone(),
         trace,
+        beyond_reach: beyond_reach(level, indices, solutions),
         error: level_error(solutions, level.level.sampling.kernel.channel_count()),
         meshes: indices.iter().zip(solutions).map(mesh).collect(),
         warnings,
+    }
+}
+
+/// World-space centres of the faces that are listed as too coarse; those of a mesh that has no such face are left out.
+fn centers_m(level: &LoadedLevel, instance: &Instance, coarse: &CoarseFaces) -> Vec<[f64; 3]> {
+    let mesh = &level.meshes[instance.mesh as usize];
+    let center = |face: usize| {
+        let center = mesh.corners(face).iter().map(|corner| corner.as_dvec3()).sum::<DVec3>() / 3.0;
+        (instance.world_from_object.transform_point3(center) + level.level.origin_m).to_array()
+    };
+    coarse.worst.iter().map(|coarse| coarse.face as usize).filter(|face| *face < mesh.faces.len()).map(center).collect()
+}
+
+/// What faces would have cost that repeat others and were left out: as much as those of their instance did on average.
+fn rays_of_duplicates(level: &LoadedLevel, indices: &[u32], solutions: &[Solution]) -> u64 {
+    let of = |(&index, solution): (&u32, &Solution)| {
+        let mesh = &level.level.meshes[level.level.instances[index as usize].mesh as usize];
+        let rays = u128::from(solution.summary.trace.rays) * u128::from(mesh.duplicate_faces);
+        u64::try_from(rays / u128::from(mesh.face_count.max(1))).unwrap_or(u64::MAX)
+    };
+    indices.iter().zip(solutions).map(of).sum()
+}
+
+fn beyond_reach(level: &LoadedLevel, indices: &[u32], solutions: &[Solution]) -> BeyondReach {
+    let instances = level.level.instances.iter().enumerate();
+    let left_out: Vec<&Instance> = instances.filter(|(index, _)| !level.is_traced(*index)).map(|(_, i)| i).collect();
+    let reach = level.reach();
+    // Beyond the reach of a whole instance lies more than what its samples are told of.
+    let cut = |(&index, solution): (&u32, &Solution)| {
+        let occluders = reach.group(index as usize).map(|group| reach.occluders(group).len());
+        let is_all = occluders.is_none_or(|count| count == level.level.instances.len());
+        let trace = &solution.summary.trace;
+        if is_all { trace.rays_cut } else { trace.rays }
+    };
+    BeyondReach {
+        instances: left_out.len() as u64,
+        faces: left_out.iter().map(|i| u64::from(level.level.meshes[i.mesh as usize].face_count)).sum(),
+        rays_cut: indices.iter().zip(solutions).map(cut).sum(),
     }
 }
 

@@ -1,13 +1,15 @@
-//! Loaded levels: meshes, BVHs and tracers, shared by the tasks of a level.
+//! Loaded levels: meshes, BVHs and tracers, shared by the tasks of a level. What no receiver's rays can come to is not
+//! loaded.
 
 use super::{Backend, out_of_range};
 use crate::{Artefacts, TaskError};
 use glam::{DAffine3, DVec3};
-use kiln_core::{Bounds, Class, Digest, FaceGroup, Instance, Level, Mesh, codec};
-use kiln_trace::{MeshBvh, REACH_EPSILON, Scene, SceneObject, Tracer};
+use kiln_core::{Bounds, Class, Digest, FaceGroup, Instance, Level, Mesh, REACH_EPSILON, codec};
+use kiln_plan::Reach;
+use kiln_trace::{MeshBvh, Scene, SceneObject, Tracer};
 use rayon::prelude::*;
 use std::{
-    collections::HashMap,
+    collections::{BTreeSet, HashMap},
     sync::{Arc, Mutex, OnceLock, PoisonError},
 };
 
@@ -26,8 +28,11 @@ pub struct LoadedLevel {
     pub level: Level,
     /// Digest of the manifest.
     pub digest: Digest,
-    /// Its meshes.
+    /// Its meshes; empty ones in place of those that no task needs.
     pub meshes: Vec<Arc<Mesh>>,
+    reach: Reach,
+    /// The instances that are traced.
+    is_traced: Vec<bool>,
     tracer: OnceLock<Result<SceneTracer, String>>,
 }
 
@@ -35,9 +40,13 @@ impl LoadedLevel {
     /// Loads a level and its meshes.
     pub fn load(digest: Digest, artefacts: &dyn Artefacts) -> Result<Self, TaskError> {
         let level: Level = codec::decode("a level", &artefacts.get(digest)?)?;
-        let mut digests: Vec<Digest> = level.meshes.iter().map(|mesh| mesh.digest).collect();
-        digests.sort_unstable();
-        digests.dedup();
+        let reach = reach(&level)?;
+        let mut is_traced = reach.is_reached();
+        let receivers = is_traced.iter_mut().zip(&level.instances);
+        receivers.for_each(|(traced, instance)| *traced |= instance.receives);
+        let traced = level.instances.iter().zip(&is_traced).filter(|(_, traced)| **traced);
+        let needed: BTreeSet<Digest> = traced.map(|(i, _)| level.meshes[i.mesh as usize].digest).collect();
+        let digests: Vec<Digest> = needed.into_iter().collect();
         let blobs = artefacts.get_many(&digests)?;
         let decode = |(digest, bytes): (&Digest, _)| -> Result<(Digest, Arc<Mesh>), TaskError> {
             let bytes: &[u8] = AsRef::as_ref(bytes);
@@ -45,16 +54,29 @@ impl LoadedLevel {
         };
         let by_digest: HashMap<Digest, Arc<Mesh>> =
             digests.par_iter().zip(&blobs).map(decode).collect::<Result<_, TaskError>>()?;
-        let meshes = level.meshes.iter().map(|mesh| Arc::clone(&by_digest[&mesh.digest])).collect();
-        Self::new(digest, level, meshes)
+        let nothing = Arc::new(Mesh::default());
+        let mesh = |digest| Arc::clone(by_digest.get(digest).unwrap_or(&nothing));
+        let meshes = level.meshes.iter().map(|entry| mesh(&entry.digest)).collect();
+        Ok(Self { level, digest, meshes, reach, is_traced, tracer: OnceLock::new() })
     }
 
-    /// A level whose meshes were loaded elsewhere.
+    /// A level whose meshes were loaded elsewhere. All of it is traced: rays may start anywhere.
     pub fn new(digest: Digest, level: Level, meshes: Vec<Arc<Mesh>>) -> Result<Self, TaskError> {
         if let Some(instance) = level.instances.iter().find(|i| i.mesh as usize >= meshes.len()) {
             return Err(out_of_range("mesh", instance.mesh));
         }
-        Ok(Self { level, digest, meshes, tracer: OnceLock::new() })
+        let (reach, is_traced) = (reach(&level)?, vec![true; level.instances.len()]);
+        Ok(Self { level, digest, meshes, reach, is_traced, tracer: OnceLock::new() })
+    }
+
+    /// What the rays of each instance can come to.
+    pub fn reach(&self) -> &Reach {
+        &self.reach
+    }
+
+    /// Whether an instance is traced: whether some receiver's rays can come to it, or it receives.
+    pub fn is_traced(&self, instance: usize) -> bool {
+        self.is_traced.get(instance).copied().unwrap_or(false)
     }
 
     /// An instance and its mesh.
@@ -88,18 +110,30 @@ impl LoadedLevel {
             })
             .collect();
         let mut bvhs: Vec<Arc<MeshBvh>> = distinct.par_iter().map(|mesh| Arc::new(MeshBvh::build(mesh))).collect();
-        let mut objects: Vec<SceneObject> = self
-            .level
-            .instances
-            .iter()
-            .map(|i| SceneObject { mesh: index_of[i.mesh as usize], world_from_object: i.world_from_object })
-            .collect();
+        // Instances that are not traced keep their index, by which ties are decided.
+        let nothing = bvhs.len();
+        bvhs.push(Arc::new(MeshBvh::build(&Mesh::default())));
+        let object = |(instance, traced): (&Instance, &bool)| SceneObject {
+            mesh: if *traced { index_of[instance.mesh as usize] } else { nothing },
+            world_from_object: instance.world_from_object,
+        };
+        let mut objects: Vec<SceneObject> = self.level.instances.iter().zip(&self.is_traced).map(object).collect();
         if let Some(plane) = ground_plane(&self.level) {
             objects.push(SceneObject { mesh: bvhs.len(), world_from_object: DAffine3::IDENTITY });
             bvhs.push(Arc::new(MeshBvh::build(&plane)));
         }
         Scene::build(bvhs, &objects)
     }
+}
+
+/// What the rays of each instance can come to.
+fn reach(level: &Level) -> Result<Reach, TaskError> {
+    let seen = |instance: &Instance| {
+        let mesh = level.meshes.get(instance.mesh as usize).ok_or_else(|| out_of_range("mesh", instance.mesh))?;
+        Ok(kiln_bake::seen_bounds(&mesh.bounds, &instance.world_from_object))
+    };
+    let seen = level.instances.iter().map(seen).collect::<Result<Vec<Bounds>, TaskError>>()?;
+    Ok(Reach::new(level, &seen))
 }
 
 /// The plane that `--ground-plane` adds: two faces under the level, out to its reach, that stop rays from both sides.
@@ -163,5 +197,72 @@ impl LevelCache {
             slots.remove(0);
         }
         entry.1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::trace, *};
+    use crate::ArtefactError;
+    use bytes::Bytes;
+    use kiln_core::{BakeSettings, TraceTask};
+    use std::collections::BTreeMap;
+
+    struct Memory(BTreeMap<Digest, Bytes>);
+
+    impl Artefacts for Memory {
+        fn get_many(&self, digests: &[Digest]) -> Result<Vec<Bytes>, ArtefactError> {
+            let one = |digest: &Digest| self.0.get(digest).cloned().ok_or(ArtefactError::Missing { digest: *digest });
+            digests.iter().map(one).collect()
+        }
+
+        fn store(&self, _: Vec<Bytes>) -> Result<Vec<Digest>, ArtefactError> {
+            Ok(Vec::new())
+        }
+    }
+
+    /// The courtyard, of which only the crates receive; as tasks load it, and whole. Rays end after 1 m.
+    fn courtyard() -> [LoadedLevel; 2] {
+        let file = kiln_scene::example::build("courtyard").unwrap();
+        let settings = BakeSettings {
+            half_distances_m: Some(vec![0.1]),
+            only: Some("crate*".to_owned()),
+            ..BakeSettings::default()
+        };
+        let files = BTreeMap::from([("level.glb".to_owned(), file)]);
+        let import = kiln_scene::import("level.glb", &files, None, &settings).unwrap();
+        let mut memory = BTreeMap::from([(Digest::default(), Bytes::from(codec::encode(&import.level)))]);
+        memory.extend(import.meshes.into_iter().map(|mesh| (mesh.digest, Bytes::from(mesh.bytes))));
+        let mesh = |entry: &kiln_core::MeshEntry| Arc::new(codec::decode("a mesh", &memory[&entry.digest]).unwrap());
+        let meshes = import.level.meshes.iter().map(mesh).collect();
+        let whole = LoadedLevel::new(Digest::default(), import.level, meshes).unwrap();
+        [LoadedLevel::load(Digest::default(), &Memory(memory)).unwrap(), whole]
+    }
+
+    #[test]
+    fn what_is_not_loaded_changes_nothing() {
+        let [part, whole] = courtyard();
+        let left_out: Vec<usize> = (0..whole.level.instances.len()).filter(|i| !part.is_traced(*i)).collect();
+        assert!(left_out.len() > 10 && left_out.iter().all(|i| !part.level.instances[*i].receives));
+        assert!(part.meshes.iter().any(|mesh| mesh.faces.is_empty()));
+        let size = |level: &LoadedLevel| level.tracer(&Backend::Cpu).unwrap().0.memory_bytes();
+        assert!(size(&part) < size(&whole));
+        let receivers = whole.level.instances.iter().enumerate().filter(|(_, instance)| instance.receives);
+        let mut traced = 0;
+        for (index, instance) in receivers {
+            let task = TraceTask {
+                key: kiln_core::TaskKey(Digest::default()),
+                family: Digest::default(),
+                instance: index as u32,
+                first_face: 0,
+                face_count: whole.level.meshes[instance.mesh as usize].face_count,
+                density_per_m2: 10.0,
+                ray_count: 0,
+            };
+            let [part, whole] = [&part, &whole].map(|level| trace::run(&task, level, &Backend::Cpu).unwrap());
+            assert_eq!(part.result, whole.result);
+            traced += part.rays;
+        }
+        assert!(traced > 0);
     }
 }

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 pub(super) fn run(spec: &PlanSpec, level: &LoadedLevel) -> Result<TaskOutput, TaskError> {
     let sampling: Vec<InstanceSampling> = level.level.instances.par_iter().map(|i| sampling(level, i)).collect();
-    let graph = kiln_plan::plan(spec.level, &level.level, &spec.lane, &sampling)
+    let graph = kiln_plan::plan(spec.level, &level.level, &spec.lane, &sampling, level.reach())
         .map_err(|error| TaskError::Refused { reason: error.to_string() })?;
     Ok(TaskOutput { result: codec::encode(&graph), attachments: Vec::new(), rays: 0 })
 }

@@ -3,7 +3,7 @@
 use super::{Backend, LoadedLevel, out_of_range};
 use crate::{TaskError, TaskOutput};
 use kiln_bake::{Piece, trace_piece};
-use kiln_core::TraceTask;
+use kiln_core::{Bounds, TraceTask};
 
 pub(super) fn run(task: &TraceTask, level: &LoadedLevel, backend: &Backend) -> Result<TaskOutput, TaskError> {
     let (instance, mesh) = level.instance(task.instance)?;
@@ -13,12 +13,14 @@ pub(super) fn run(task: &TraceTask, level: &LoadedLevel, backend: &Backend) -> R
         return Err(out_of_range("face", task.first_face.saturating_add(task.face_count)));
     }
     let (scene, tracer) = level.tracer(backend)?;
+    let reach = level.reach();
     let piece = Piece {
         mesh,
         world_from_object: &instance.world_from_object,
         faces,
         density_per_m2: task.density_per_m2,
         sampling: &level.level.sampling,
+        occluders_m: reach.group(task.instance as usize).map_or(Bounds::EMPTY, |group| reach.bounds_m(group)),
     };
     let moments =
         trace_piece(&**tracer, scene, &piece).map_err(|error| TaskError::Failed { reason: error.to_string() })?;

@@ -144,6 +144,7 @@ fn import(source: Digest, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskE
         name: text.to_owned(),
         vertex_count: VERTICES,
         face_count: 1,
+        duplicate_faces: 0,
         bounds: Bounds::EMPTY,
         source_mesh: 0,
         blocks: Vec::new(),
@@ -178,6 +179,7 @@ fn sampling(seed: u64) -> Sampling {
         back_face_limit: 0.25,
         seed,
         ground_plane_y_m: None,
+        no_skip: std::collections::BTreeSet::new(),
     }
 }
 
@@ -242,7 +244,8 @@ fn solve(moments: &[Digest], artefacts: &dyn Artefacts) -> Result<TaskOutput, Ta
     }
     let value = sum / moments.len().max(1) as f32;
     let values = vec![value; 2 * VERTICES as usize];
-    let solution = Solution { channels: 2, values, unsampled: false, summary: SolveSummary::default() };
+    let residuals = vec![0.0; values.len()];
+    let solution = Solution { channels: 2, values, residuals, unsampled: false, summary: SolveSummary::default() };
     Ok(TaskOutput { result: codec::encode(&solution), ..TaskOutput::default() })
 }
 
@@ -260,6 +263,7 @@ fn export(spec: &ExportSpec, artefacts: &dyn Artefacts) -> Result<TaskOutput, Ta
         counts: level.counts,
         sampling: level.sampling,
         trace: TraceSummary::default(),
+        beyond_reach: kiln_core::BeyondReach::default(),
         error: Vec::new(),
         meshes: Vec::new(),
         warnings: level.warnings,

@@ -3,10 +3,10 @@
 use crate::failure::Failure;
 use clap::{Args, ValueEnum};
 use kiln_core::{
-    Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, MAX_CHANNELS, OutputSettings, Quality, Remap,
+    Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, MAX_CHANNELS, OutputSettings, Quality, Remap, SkipRule,
     ValueFormat,
 };
-use std::path::PathBuf;
+use std::{collections::BTreeSet, path::PathBuf};
 
 /// Bakes a level in this process; a second run resumes or answers at once.
 #[derive(Args, Debug)]
@@ -87,6 +87,9 @@ pub(crate) struct SettingsArgs {
     /// Another seed gives another, equally good result
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub(crate) seed: u64,
+    /// Rules that leave out work, turned off, to see what they change (docs/skips.md)
+    #[arg(long, value_enum, value_name = "RULE,RULE…", value_delimiter = ',')]
+    pub(crate) no_skip: Vec<RuleChoice>,
     /// Attributes to write: `_AO`, COLOR_0, or both
     #[arg(long, value_enum, default_value_t)]
     pub(crate) attribute: AttributeChoice,
@@ -99,6 +102,9 @@ pub(crate) struct SettingsArgs {
     /// Weight of each half-distance in COLOR_0 [default: the sidecar's, or .03,.97]
     #[arg(long, value_name = "W1,W2…", value_delimiter = ',')]
     pub(crate) blend: Option<Vec<f64>>,
+    /// Write `_AO_RESIDUAL` too, where the mesh is too coarse: `kiln view --overlay residual` shows it
+    #[arg(long)]
+    pub(crate) residual: bool,
     /// Curve applied to COLOR_0: `gamma:G`, or `curve:IN=OUT,IN=OUT…`
     #[arg(long, value_name = "CURVE", value_parser = parse_remap)]
     pub(crate) remap: Option<Remap>,
@@ -177,7 +183,41 @@ pub(crate) enum ColorChoice {
     Replace,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum RuleChoice {
+    /// Rays end where a hit hardly changes their value.
+    Reach,
+    /// No ray where nothing lies above a sample's surface.
+    #[value(alias = "empty_hemisphere")]
+    Empty,
+    /// Few samples for faces that are hidden.
+    #[value(alias = "buried_faces")]
+    Buried,
+    /// Faces that repeat others are left out.
+    #[value(alias = "duplicate_faces")]
+    Duplicates,
+    /// Samples where the error is; off, the same as --fixed-samples.
+    #[value(alias = "adaptive_sampling")]
+    Adaptive,
+    /// Results that are known are not made again.
+    #[value(alias = "unchanged_work")]
+    Unchanged,
+    /// All of them.
+    All,
+}
+
 impl SettingsArgs {
+    /// The rules that are turned off.
+    fn no_skip(&self) -> Result<BTreeSet<SkipRule>, Failure> {
+        let off: BTreeSet<SkipRule> = self.no_skip.iter().flat_map(|choice| choice.rules()).copied().collect();
+        if self.target_rmse.is_some() && off.contains(&SkipRule::Adaptive) {
+            return Err(Failure::usage(
+                "--target-rmse has no meaning without adaptive sampling; drop it, or --no-skip",
+            ));
+        }
+        Ok(off)
+    }
+
     /// The settings, checked.
     pub(crate) fn resolve(&self) -> Result<BakeSettings, Failure> {
         let occlusion = self.kernel == KernelChoice::Occlusion;
@@ -222,12 +262,14 @@ impl SettingsArgs {
             drop_bad_faces: self.drop_bad_faces,
             only: self.only.clone(),
             seed: self.seed,
+            no_skip: self.no_skip()?,
             output: OutputSettings {
                 attribute: self.attribute.into(),
                 format: self.format.into(),
                 color: self.color.map(Into::into),
                 blend: self.blend.clone(),
                 remap: self.remap.clone(),
+                residual: self.residual,
             },
         })
     }
@@ -266,6 +308,20 @@ fn parse_remap(text: &str) -> Result<Remap, String> {
         return Err("a curve has at least two points with rising inputs, all in [0, 1]".into());
     }
     Ok(Remap::Curve(points))
+}
+
+impl RuleChoice {
+    fn rules(self) -> &'static [SkipRule] {
+        match self {
+            Self::Reach => &[SkipRule::Reach],
+            Self::Empty => &[SkipRule::Empty],
+            Self::Buried => &[SkipRule::Buried],
+            Self::Duplicates => &[SkipRule::Duplicates],
+            Self::Adaptive => &[SkipRule::Adaptive],
+            Self::Unchanged => &[SkipRule::Unchanged],
+            Self::All => &SkipRule::ALL,
+        }
+    }
 }
 
 impl From<QualityChoice> for Quality {

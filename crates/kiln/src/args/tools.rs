@@ -1,7 +1,7 @@
 //! Options of the commands that look at levels and results.
 
 use super::bake::{HalfDistances, SettingsArgs};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
 /// Reads and validates a level; prints what would be baked, every warning, and an estimate of time and memory.
@@ -14,10 +14,11 @@ pub(crate) struct CheckArgs {
     pub(crate) settings: SettingsArgs,
 }
 
-/// Compares two baked files of one level: area-weighted RMSE, p50, p99, max, per mesh and in total.
+/// Compares two baked files of one level: area-weighted RMSE, p50, p99, max, per mesh and in total, over what can be seen.
 #[derive(Args, Debug)]
 #[command(
-    after_help = "Examples:\n  kiln compare baked.glb reference.glb\n  kiln compare a.glb b.glb --fail-above 0.006"
+    after_help = "Examples:\n  kiln compare baked.glb reference.glb\n  kiln compare a.glb b.glb --fail-above 0.006\n
+Hidden area, whose values nobody sees, is found by tracing the first file; --all-area counts it too, as --json does in `total`"
 )]
 pub(crate) struct CompareArgs {
     /// A baked file
@@ -27,6 +28,9 @@ pub(crate) struct CompareArgs {
     /// Exit with code 4 if the RMSE of any half-distance is above this
     #[arg(long, value_name = "X")]
     pub(crate) fail_above: Option<f64>,
+    /// Weigh all area alike, also what is hidden in other geometry
+    #[arg(long)]
+    pub(crate) all_area: bool,
 }
 
 /// AO at given points and normals, for spot checks against other tools.
@@ -55,11 +59,19 @@ pub(crate) struct ProbeArgs {
     pub(crate) seed: u32,
 }
 
+/// What a picture shows in place of the AO.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum OverlayChoice {
+    /// Where the mesh is too coarse for its shadows; needs a file baked with --residual.
+    Residual,
+}
+
 /// Makes a picture of the AO in a baked file.
 #[derive(Args, Debug)]
 #[command(after_help = "Examples:
   kiln view baked.glb -o picture.png
   kiln view baked.glb -o both.png --side-by-side reference.glb
+  kiln view baked.glb -o coarse.png --overlay residual
   kiln view baked.glb -o near.png --camera 4,2,6,0,1,0")]
 pub(crate) struct ViewArgs {
     /// The baked file
@@ -73,7 +85,10 @@ pub(crate) struct ViewArgs {
     /// A second baked file to put on the right
     #[arg(long, value_name = "REF.glb")]
     pub(crate) side_by_side: Option<PathBuf>,
-    /// Show one half-distance, by number from 0 [default: the blend]
+    /// Show something else in place of the AO
+    #[arg(long, value_enum)]
+    pub(crate) overlay: Option<OverlayChoice>,
+    /// Show one half-distance, by number from 0 [default: the blend, or the greatest residual]
     #[arg(long, value_name = "N")]
     pub(crate) channel: Option<usize>,
     /// Width and height of the picture, pixels

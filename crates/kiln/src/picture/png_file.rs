@@ -11,6 +11,14 @@ pub(crate) struct Image {
 }
 
 impl Image {
+    /// Sets a pixel; one beyond the edge is no pixel.
+    pub(super) fn set(&mut self, x: u32, y: u32, rgb: [u8; 3]) {
+        if x < self.width && y < self.height {
+            let at = 3 * (y as usize * self.width as usize + x as usize);
+            self.rgb[at..at + 3].copy_from_slice(&rgb);
+        }
+    }
+
     /// Two pictures of the same height, with a light line between.
     pub(crate) fn beside(self, right: &Self) -> Self {
         const LINE: usize = 4;

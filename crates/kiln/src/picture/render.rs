@@ -1,35 +1,66 @@
-//! One ray through each of four points of a pixel; the AO of what it hits, interpolated.
+//! One ray through each of four points of a pixel; the AO of what it hits, or its residual, interpolated.
 //!
 //! Back faces of single-sided geometry are looked through, so that a closed room shows its inside.
 
-use super::{Camera, Image};
-use glam::{DAffine3, DVec3, Vec3};
-use kiln_core::{Class, FaceGroup, Mesh};
-use kiln_scene::BakedScene;
-use kiln_trace::{CpuTracer, MeshBvh, Ray, Scene, SceneObject};
+use super::{Camera, Image, ramp};
+use crate::one_mesh::{one_mesh, scene_of};
+use glam::{DVec3, Vec3};
+use kiln_core::Mesh;
+use kiln_scene::{BakedPart, BakedScene};
+use kiln_trace::{CpuTracer, Ray};
 use rayon::prelude::*;
-use std::sync::Arc;
 
 /// Back faces looked through before a ray is given up.
 const MAX_LAYERS: usize = 64;
 
-/// What of the AO is shown.
-pub(crate) struct Shading {
-    /// Weight of each half-distance.
-    pub(crate) weights: Vec<f64>,
+/// What is shown.
+pub(crate) enum Shading {
+    /// The AO as grey, by the weight of each half-distance.
+    Ao(Vec<f64>),
+    /// How far the signal strays from the values, by colours: of one half-distance, or the greatest.
+    Residual(Option<usize>),
 }
 
 impl Shading {
-    /// One half-distance, or the usual blend: 3 % of the shortest and 97 % of the longest.
-    pub(crate) fn new(channel: Option<usize>, channels: usize) -> Result<Self, String> {
+    /// The AO of one half-distance, or the usual blend: 3 % of the shortest and 97 % of the longest.
+    pub(crate) fn ao(channel: Option<usize>, channels: usize) -> Result<Self, String> {
         let mut weights = vec![0.0; channels];
-        match channel {
-            Some(c) if c < channels => weights[c] = 1.0,
-            Some(c) => return Err(format!("there is no half-distance number {c}; the file has {channels}, from 0")),
+        match in_range(channel, channels)? {
+            Some(c) => weights[c] = 1.0,
             None if channels == 2 => weights = vec![0.03, 0.97],
             None => weights.fill(1.0 / channels.max(1) as f64),
         }
-        Ok(Self { weights })
+        Ok(Self::Ao(weights))
+    }
+
+    /// The deviations of one half-distance, or the greatest of all.
+    pub(crate) fn residual(channel: Option<usize>, channels: usize) -> Result<Self, String> {
+        Ok(Self::Residual(in_range(channel, channels)?))
+    }
+
+    /// What a vertex shows; NaN where it has nothing.
+    fn value(&self, part: &BakedPart, vertex: u32) -> f32 {
+        let of = |numbers: &'_ [f32], channels: usize| {
+            let first = vertex as usize * channels;
+            numbers.get(first..first + channels).map(<[f32]>::to_vec).filter(|all| !all.is_empty())
+        };
+        match self {
+            Self::Ao(weights) => of(&part.ao, part.channels)
+                .map_or(f32::NAN, |all| all.iter().zip(weights).map(|(&ao, w)| f64::from(ao) * w).sum::<f64>() as f32),
+            Self::Residual(channel) => of(&part.residual, part.residual_channels).map_or(f32::NAN, |all| {
+                let greatest = || all.iter().copied().fold(0.0, f32::max);
+                channel.map_or_else(greatest, |channel| all.get(channel).copied().unwrap_or(f32::NAN))
+            }),
+        }
+    }
+}
+
+fn in_range(channel: Option<usize>, channels: usize) -> Result<Option<usize>, String> {
+    match channel {
+        Some(c) if c >= channels => {
+            Err(format!("there is no half-distance number {c}; the file has {channels}, from 0"))
+        }
+        _ => Ok(channel),
     }
 }
 
@@ -39,6 +70,8 @@ struct Surface {
     /// Shown value of each corner of each face; NaN where there is none.
     values: Vec<[f32; 3]>,
     origin: DVec3,
+    /// Values are deviations.
+    is_residual: bool,
 }
 
 /// Renders a baked file.
@@ -58,39 +91,24 @@ pub(crate) fn render(scene: &BakedScene, camera: &Camera, shading: &Shading, wid
         (sum * 0.25).to_array().map(to_srgb)
     };
     let rgb = (0..width * height).into_par_iter().flat_map_iter(pixel).collect();
-    Image { width, height, rgb }
+    let mut image = Image { width, height, rgb };
+    if surface.is_residual {
+        ramp::draw_bar(&mut image, to_srgb);
+    }
+    image
 }
 
 impl Surface {
     fn new(scene: &BakedScene, shading: &Shading, camera: &Camera) -> Self {
         // Relative to what is looked at, so that f32 holds far-away levels.
         let origin = camera.target;
-        let group = FaceGroup {
-            class: Class::Opaque,
-            double_sided: false,
-            occludes: true,
-            receives: true,
-            max_samples_per_face: None,
+        let mesh = one_mesh(scene, origin, |_| true);
+        let values = |part: &BakedPart| {
+            part.faces.iter().map(|face| face.map(|v| shading.value(part, v))).collect::<Vec<[f32; 3]>>()
         };
-        let mut mesh =
-            Mesh { groups: vec![group.clone(), FaceGroup { double_sided: true, ..group }], ..Mesh::default() };
-        let mut values = Vec::new();
-        for part in &scene.parts {
-            let first = mesh.positions.len() as u32;
-            mesh.positions.extend(part.positions.iter().map(|&p| (p - origin).as_vec3().to_array()));
-            mesh.faces.extend(part.faces.iter().map(|face| face.map(|v| v + first)));
-            mesh.face_group.resize(mesh.faces.len(), u16::from(part.double_sided));
-            let value = |v: u32| {
-                let all = part.ao.get(v as usize * part.channels..).unwrap_or_default();
-                let blend: f64 = all.iter().zip(&shading.weights).map(|(&ao, w)| f64::from(ao) * w).sum();
-                if part.channels == 0 { f32::NAN } else { blend as f32 }
-            };
-            values.extend(part.faces.iter().map(|face| face.map(value)));
-        }
-        mesh.normals = vec![[0.0; 3]; mesh.positions.len()];
-        let object = SceneObject { mesh: 0, world_from_object: DAffine3::IDENTITY };
-        let tracer = CpuTracer::new(Arc::new(Scene::build(vec![Arc::new(MeshBvh::build(&mesh))], &[object])));
-        Self { tracer, mesh, values, origin }
+        let values = scene.parts.iter().flat_map(values).collect();
+        let tracer = CpuTracer::new(scene_of(&mesh));
+        Self { tracer, mesh, values, origin, is_residual: matches!(shading, Shading::Residual(_)) }
     }
 
     fn color(&self, eye: Vec3, direction: Vec3) -> Vec3 {
@@ -102,7 +120,7 @@ impl Surface {
             }
             let point = origin + direction * hit.t;
             if !hit.back_face {
-                return self.shade(hit.primitive as usize, point);
+                return self.shade(hit.primitive as usize, point, direction);
             }
             origin = point + direction * (1e-6 * point.abs().max_element().max(hit.t) + f32::MIN_POSITIVE);
         }
@@ -110,7 +128,7 @@ impl Surface {
         Vec3::new(0.36, 0.45, 0.58).lerp(Vec3::new(0.62, 0.70, 0.80), 0.5 + 0.5 * direction.y)
     }
 
-    fn shade(&self, face: usize, point: Vec3) -> Vec3 {
+    fn shade(&self, face: usize, point: Vec3, direction: Vec3) -> Vec3 {
         let [a, b, c] = self.mesh.corners(face);
         let normal = (b - a).cross(c - a);
         let area = normal.length_squared();
@@ -118,8 +136,14 @@ impl Surface {
         let v = (a - c).cross(point - c).dot(normal) / area;
         let [x, y, z] = self.values[face];
         let value = x * u + y * v + z * (1.0 - u - v);
-        // Geometry without values stands out.
-        if value.is_finite() { Vec3::splat(value.clamp(0.0, 1.0)) } else { Vec3::new(0.35, 0.16, 0.30) }
+        match (value.is_finite(), self.is_residual) {
+            (true, false) => Vec3::splat(value.clamp(0.0, 1.0)),
+            // A little light from the eye, so that shapes can be told.
+            (true, true) => ramp::color(value) * (0.7 + 0.3 * (normal.dot(direction) / area.sqrt()).abs()),
+            // Geometry without values stands out.
+            (false, false) => Vec3::new(0.35, 0.16, 0.30),
+            (false, true) => Vec3::splat(0.25),
+        }
     }
 }
 
