@@ -170,7 +170,8 @@ fn residuals_are_an_attribute_that_costs_only_who_wants_it() {
         let residual = attribute(&shown, mesh, "_AO_RESIDUAL").expect("residuals");
         assert_eq!(residual.layout(), (5126, "VEC2", 0, 8));
         let values = floats(&shown_bin, &residual);
-        let range = if mesh == 0 { 0.2..0.5 } else { 0.0..1e-6 };
+        // Rays are rounded to 2⁻¹⁶, so what is constant strays by about as much.
+        let range = if mesh == 0 { 0.2..0.5 } else { 0.0..1e-3 };
         assert!(values.iter().all(|[near, _]| range.contains(near)), "{values:?}");
         let (small, _) = split(&place.read("u16.glb"));
         let residual = attribute(&small, mesh, "_AO_RESIDUAL").expect("residuals");

@@ -28,12 +28,20 @@ fn with_slivers(mut surface: Surface, aspect: f64) -> Surface {
     surface
 }
 
+/// The new vertices have values of their own, so even a converged answer is not the clean mesh's; but it is no further from it
+/// than that of faces cut without slivers, and how thin a sliver is makes no difference.
 #[test]
 fn slivers() {
+    let cut = |aspect: f64| bake_room(&with_slivers(room(), aspect));
+    let from_clean = |case: &Outcome| difference(clean_room(Medium), case, &Correspondence::SAME);
+    let (mild, thin) = (from_clean(&cut(10.0)), cut(1e2));
     for aspect in [1e2, 1e4, 1e6] {
-        let case = bake_room(&with_slivers(room(), aspect));
+        let case = cut(aspect);
         assert_eq!(case.warned("degenerate_faces"), 0, "the slivers are there");
-        difference(clean_room(Medium), &case, &Correspondence::SAME).assert_within_error(&format!("aspect {aspect}"));
+        difference(&thin, &case, &Correspondence::SAME).assert_within_error(&format!("aspect {aspect}"));
+        let found = from_clean(&case);
+        let is_no_further = found.rmse.iter().zip(&mild.rmse).all(|(found, mild)| *found < 1.5 * mild);
+        assert!(is_no_further, "aspect {aspect}: RMSE {:.5?}, without slivers {:.5?}", found.rmse, mild.rmse);
     }
 }
 
