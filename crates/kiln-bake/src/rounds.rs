@@ -9,8 +9,7 @@
 //!
 //! [`allocate`]: Rounds::allocate
 
-use crate::{noise::Noise, piece::Piece, piece::Sampler};
-use glam::Vec3;
+use crate::{density::receiving_area_m2, noise::Noise, piece::Piece, piece::Sampler};
 use kiln_core::{HalfMoments, SkipRule, Target};
 use kiln_trace::TraceError;
 
@@ -55,11 +54,7 @@ impl<'a> Rounds<'a> {
             class.min(sampling.max_samples_per_face).max(sampling.min_samples_per_face) / 2
         };
         let sides = |face: usize| if piece.mesh.group(face).double_sided { 2 } else { 1 };
-        let area = |face: usize| {
-            let [a, b, c] = piece.mesh.corners(face).map(Vec3::as_dvec3);
-            let matrix = piece.world_from_object.matrix3;
-            0.5 * (matrix * (b - a)).cross(matrix * (c - a)).length()
-        };
+        let area = |face: usize| receiving_area_m2(piece.mesh, piece.world_from_object, face);
         let areas: Vec<f64> = piece.faces.clone().map(area).collect();
         let corners = crate::noise::piece_vertices(piece.mesh, piece.faces.clone());
         Self {

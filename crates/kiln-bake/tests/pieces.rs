@@ -1,50 +1,13 @@
 //! Laws of trace tasks, on scenes made here.
 
+mod geometry;
+
+use geometry::{ao, cube, fixed, flat, square};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use kiln_bake::{FaceAreas, Piece, ProbePoint, density, probe, trace_piece};
-use kiln_core::{Bounds, Class, Digest, FaceGroup, FaceMoments, HalfMoments, Kernel, Mesh, Sampling, Target};
+use kiln_core::{Bounds, Digest, FaceMoments, Kernel, Mesh, Sampling, Target};
 use kiln_trace::{CpuTracer, MeshBvh, Scene, SceneObject};
 use std::sync::Arc;
-
-fn mesh(triangles: &[[Vec3; 3]], double_sided: bool) -> Mesh {
-    let group =
-        FaceGroup { class: Class::Opaque, double_sided, occludes: true, receives: true, max_samples_per_face: None };
-    Mesh {
-        positions: triangles.iter().flatten().map(Vec3::to_array).collect(),
-        normals: vec![[0.0; 3]; 3 * triangles.len()],
-        faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
-        face_group: vec![0; triangles.len()],
-        groups: vec![group],
-    }
-}
-
-/// A square of two faces in the plane spanned by u and v, seen from u × v.
-fn square(center: Vec3, u: Vec3, v: Vec3) -> [[Vec3; 3]; 2] {
-    let [a, b, c, d] = [center - u - v, center + u - v, center + u + v, center - u + v];
-    [[a, b, c], [a, c, d]]
-}
-
-fn cube(center: Vec3, half: f32) -> Vec<[Vec3; 3]> {
-    let axes = [Vec3::X, Vec3::Y, Vec3::Z].map(|a| a * half);
-    let side = |i: usize, sign: f32| square(center + axes[i] * sign, axes[(i + 1) % 3] * sign, axes[(i + 2) % 3]);
-    (0..3).flat_map(|i| [side(i, 1.0), side(i, -1.0)]).flatten().collect()
-}
-
-fn sampling(rays_per_sample: u32, half_distances_m: &[f64]) -> Sampling {
-    Sampling {
-        target: None,
-        kernel: Kernel::Obscurance { half_distances_m: half_distances_m.to_vec() },
-        rays_per_sample,
-        mean_samples_per_face: 8.0,
-        density_per_m2: None,
-        min_samples_per_face: 2,
-        max_samples_per_face: 64,
-        back_face_limit: 0.25,
-        seed: 7,
-        ground_plane_y_m: None,
-        no_skip: std::collections::BTreeSet::new(),
-    }
-}
 
 struct Fixture {
     meshes: Vec<Mesh>,
@@ -76,8 +39,8 @@ fn crates() -> Fixture {
         |s: DVec3, angle: f64, t: DVec3| DAffine3::from_scale_rotation_translation(s, DQuat::from_rotation_y(angle), t);
     Fixture {
         meshes: vec![
-            mesh(&square(Vec3::ZERO, Vec3::Z * 5.0, Vec3::X * 5.0), false),
-            mesh(&cube(Vec3::ZERO, 0.5), false),
+            flat(&square(Vec3::ZERO, Vec3::Z * 5.0, Vec3::X * 5.0), false),
+            flat(&cube(Vec3::ZERO, 0.5), false),
         ],
         places: vec![
             (0, DAffine3::IDENTITY),
@@ -87,14 +50,10 @@ fn crates() -> Fixture {
     }
 }
 
-fn ao(half: &HalfMoments, channel: usize) -> f64 {
-    half.phi_f[channel].iter().sum::<f64>() / f64::from(half.valid)
-}
-
 #[test]
 fn pieces_make_the_whole() {
     let scene = crates();
-    let sampling = sampling(16, &[0.5, 20.0]);
+    let sampling = fixed(16, &[0.5, 20.0]);
     for instance in 0..3 {
         let faces = scene.meshes[scene.places[instance].0].faces.len();
         let whole = scene.trace(instance, 0..faces, &sampling);
@@ -109,7 +68,7 @@ fn pieces_make_the_whole() {
 #[test]
 fn faces_keep_their_moments_when_others_come_or_go() {
     let mut scene = crates();
-    let sampling = sampling(16, &[0.5, 20.0]);
+    let sampling = fixed(16, &[0.5, 20.0]);
     let before = scene.trace(1, 0..12, &sampling);
     // Reversing the faces of the crate reverses the moments, and changes nothing else.
     {
@@ -128,10 +87,10 @@ fn halves_are_independent_and_unbiased() {
     let floor = square(Vec3::ZERO, Vec3::Z * 0.5, Vec3::X * 0.5);
     let ceiling = square(Vec3::Y * 2.0, Vec3::X * 2000.0, Vec3::Z * 2000.0);
     let scene = Fixture {
-        meshes: vec![mesh(&floor, false), mesh(&ceiling, false)],
+        meshes: vec![flat(&floor, false), flat(&ceiling, false)],
         places: vec![(0, DAffine3::IDENTITY), (1, DAffine3::IDENTITY)],
     };
-    let mut sampling = sampling(32, &[2.0]);
+    let mut sampling = fixed(32, &[2.0]);
     sampling.density_per_m2 = Some(128.0);
     let mut errors = Vec::new();
     for seed in 0..40 {
@@ -160,7 +119,7 @@ fn buried_faces_are_invalid_and_mirrored_ones_are_not() {
     // A crate of a tenth the size in the middle of another sees back faces only.
     let place = (DVec3::splat(0.1), DQuat::IDENTITY, DVec3::new(0.0, 0.4, 0.0));
     scene.places.push((1, DAffine3::from_scale_rotation_translation(place.0, place.1, place.2)));
-    let sampling = sampling(16, &[0.5]);
+    let sampling = fixed(16, &[0.5]);
     let buried = scene.trace(1, 0..12, &sampling);
     assert_eq!(buried.summary.invalid, buried.summary.samples);
     assert!((0..12).all(|face| buried.face(face).iter().all(|h| h.valid == 0 && h.taken > 0)));
@@ -175,10 +134,10 @@ fn buried_faces_are_invalid_and_mirrored_ones_are_not() {
 #[test]
 fn double_sided_faces_average_their_sides() {
     // A double-sided sheet halfway between floor and open sky; and one that lies under the floor's back on one side.
-    let sheet = mesh(&square(Vec3::ZERO, Vec3::Z * 0.05, Vec3::X * 0.05), true);
-    let floor = mesh(&square(Vec3::ZERO, Vec3::Z * 3000.0, Vec3::X * 3000.0), false);
+    let sheet = flat(&square(Vec3::ZERO, Vec3::Z * 0.05, Vec3::X * 0.05), true);
+    let floor = flat(&square(Vec3::ZERO, Vec3::Z * 3000.0, Vec3::X * 3000.0), false);
     let at = |y: f64| DAffine3::from_translation(DVec3::Y * y);
-    let sampling = sampling(256, &[2.0]);
+    let sampling = fixed(256, &[2.0]);
     let scene = Fixture { meshes: vec![sheet, floor], places: vec![(0, at(2.0)), (1, at(0.0))] };
     let both = scene.trace(0, 0..2, &sampling);
     for half in both.face(0) {
@@ -195,7 +154,7 @@ fn double_sided_faces_average_their_sides() {
 #[test]
 fn probes_match_closed_forms() {
     // The centre of a sphere is too easy for positions, but not for directions: 1 − 2^(−R/d) up to the tessellation.
-    let ceiling = mesh(&square(Vec3::Y * 2.0, Vec3::X * 20000.0, Vec3::Z * 20000.0), false);
+    let ceiling = flat(&square(Vec3::Y * 2.0, Vec3::X * 20000.0, Vec3::Z * 20000.0), false);
     let scene = Fixture { meshes: vec![ceiling], places: vec![(0, DAffine3::IDENTITY)] };
     let kernel = Kernel::Obscurance { half_distances_m: vec![2.0, 300.0] };
     let point = ProbePoint { position: DVec3::ZERO, normal: DVec3::Y * 3.0, geometric: None };
@@ -208,7 +167,7 @@ fn probes_match_closed_forms() {
 
 fn adaptive(rmse: f64) -> Sampling {
     let target = Some(Target::named(rmse));
-    Sampling { target, mean_samples_per_face: 2.0, max_samples_per_face: 512, ..sampling(16, &[0.5, 20.0]) }
+    Sampling { target, mean_samples_per_face: 2.0, max_samples_per_face: 512, ..fixed(16, &[0.5, 20.0]) }
 }
 
 /// Mean over the visible area, the two halves of a face weighing the same.
@@ -228,7 +187,7 @@ fn mean_ao(scene: &Fixture, moments: &FaceMoments, instance: usize, channel: usi
 #[test]
 fn adaptive_counts_bias_nothing() {
     let scene = crates();
-    let exact = scene.trace(0, 0..2, &Sampling { mean_samples_per_face: 512.0, ..sampling(64, &[0.5, 20.0]) });
+    let exact = scene.trace(0, 0..2, &Sampling { mean_samples_per_face: 512.0, ..fixed(64, &[0.5, 20.0]) });
     let exact = mean_ao(&scene, &exact, 0, 1);
     let seeds = 0..300u64;
     let (mut sum, mut squares) = ([0.0; 2], [0.0; 2]);
@@ -259,7 +218,7 @@ fn a_finer_target_takes_more_samples_and_errs_less() {
 #[test]
 fn where_nothing_is_in_reach_no_ray_is_traced() {
     let open = Fixture {
-        meshes: vec![mesh(&square(Vec3::ZERO, Vec3::Z, Vec3::X), false)],
+        meshes: vec![flat(&square(Vec3::ZERO, Vec3::Z, Vec3::X), false)],
         places: vec![(0, DAffine3::IDENTITY)],
     };
     let found = open.trace(0, 0..2, &adaptive(1e-4));
@@ -280,10 +239,10 @@ fn the_cap_of_a_class_counts_samples_of_256_rays() {
 #[test]
 fn buried_faces_get_fewer_samples() {
     let scene = Fixture {
-        meshes: vec![mesh(&square(Vec3::ZERO, Vec3::Z * 5.0, Vec3::X * 5.0), false), {
+        meshes: vec![flat(&square(Vec3::ZERO, Vec3::Z * 5.0, Vec3::X * 5.0), false), {
             let mut faces = cube(Vec3::ZERO, 0.5);
             faces.extend(square(Vec3::new(0.0, 0.1, 0.0), Vec3::Z * 0.1, Vec3::X * 0.1));
-            mesh(&faces, false)
+            flat(&faces, false)
         }],
         places: vec![(0, DAffine3::IDENTITY), (1, DAffine3::from_translation(DVec3::Y * 0.5))],
     };
@@ -300,7 +259,7 @@ fn buried_faces_get_fewer_samples() {
 /// Fails when the output of trace tasks changes: raise `TaskKind::Trace`'s kernel revision, then this digest.
 #[test]
 fn output_is_what_the_kernel_revision_says() {
-    let fixed = crates().trace(2, 0..12, &sampling(16, &[0.5, 20.0])).to_bytes();
+    let fixed = crates().trace(2, 0..12, &fixed(16, &[0.5, 20.0])).to_bytes();
     let adaptive = crates().trace(2, 0..12, &adaptive(0.01)).to_bytes();
     let digest = Digest::of(&[fixed, adaptive].concat()).short();
     assert_eq!((kiln_core::TaskKind::Trace.kernel_rev(), digest.as_str()), (3, "3614f754"));

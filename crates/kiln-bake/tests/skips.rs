@@ -1,43 +1,13 @@
 //! Every rule that leaves out work in a piece, against the rule being off. What each may change is in docs/skips.md.
 
+mod geometry;
+
+use geometry::{ao, cube, fixed, flat, mesh, square};
 use glam::{DAffine3, DVec3, Vec3};
 use kiln_bake::{FaceAreas, Piece, density, trace_piece};
-use kiln_core::{
-    Bounds, Class, FaceGroup, FaceMoments, HalfMoments, Kernel, Mesh, REACH_EPSILON, Sampling, SkipRule, Target,
-};
+use kiln_core::{Bounds, FaceMoments, HalfMoments, Kernel, Mesh, REACH_EPSILON, Sampling, SkipRule, Target};
 use kiln_trace::{CpuTracer, MeshBvh, Scene, SceneObject};
-use std::{collections::BTreeSet, sync::Arc};
-
-/// Triangles with their corners' normals.
-fn mesh(triangles: &[[Vec3; 3]], normal: impl Fn(Vec3) -> Vec3) -> Mesh {
-    let group = FaceGroup {
-        class: Class::Opaque,
-        double_sided: false,
-        occludes: true,
-        receives: true,
-        max_samples_per_face: None,
-    };
-    let corners = || triangles.iter().flatten();
-    Mesh {
-        positions: corners().map(Vec3::to_array).collect(),
-        normals: corners().map(|corner| normal(*corner).to_array()).collect(),
-        faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
-        face_group: vec![0; triangles.len()],
-        groups: vec![group],
-    }
-}
-
-/// A square of two faces in the plane spanned by u and v, seen from u × v.
-fn square(center: Vec3, u: Vec3, v: Vec3) -> [[Vec3; 3]; 2] {
-    let [a, b, c, d] = [center - u - v, center + u - v, center + u + v, center - u + v];
-    [[a, b, c], [a, c, d]]
-}
-
-fn cube(center: Vec3, half: f32) -> Vec<[Vec3; 3]> {
-    let axes = [Vec3::X, Vec3::Y, Vec3::Z].map(|a| a * half);
-    let side = |i: usize, sign: f32| square(center + axes[i] * sign, axes[(i + 1) % 3] * sign, axes[(i + 2) % 3]);
-    (0..3).flat_map(|i| [side(i, 1.0), side(i, -1.0)]).flatten().collect()
-}
+use std::sync::Arc;
 
 /// A strip of floor in 64 faces.
 fn floor() -> Vec<[Vec3; 3]> {
@@ -69,34 +39,17 @@ impl Place {
     }
 }
 
-fn fixed(rays_per_sample: u32, half_distances_m: &[f64]) -> Sampling {
-    Sampling {
-        target: None,
-        kernel: Kernel::Obscurance { half_distances_m: half_distances_m.to_vec() },
-        rays_per_sample,
-        mean_samples_per_face: 16.0,
-        density_per_m2: None,
-        min_samples_per_face: 2,
-        max_samples_per_face: 64,
-        back_face_limit: 0.25,
-        seed: 3,
-        ground_plane_y_m: None,
-        no_skip: BTreeSet::new(),
-    }
+fn sampled(rays_per_sample: u32, half_distances_m: &[f64]) -> Sampling {
+    Sampling { mean_samples_per_face: 16.0, seed: 3, ..fixed(rays_per_sample, half_distances_m) }
 }
 
 fn adaptive(rmse: f64) -> Sampling {
     let target = Some(Target::named(rmse));
-    Sampling { target, mean_samples_per_face: 2.0, max_samples_per_face: 1024, ..fixed(16, &[0.5, 20.0]) }
+    Sampling { target, mean_samples_per_face: 2.0, max_samples_per_face: 1024, ..sampled(16, &[0.5, 20.0]) }
 }
 
 fn halves(moments: &FaceMoments) -> Vec<HalfMoments> {
     (0..moments.face_count()).flat_map(|face| moments.face(face)).collect()
-}
-
-/// Mean of a half's values.
-fn ao(half: &HalfMoments, channel: usize) -> f64 {
-    half.phi_f[channel].iter().sum::<f64>() / f64::from(half.valid)
 }
 
 /// The floor with a crate on it, and one far away; normals lean as far as they can.
@@ -105,16 +58,16 @@ fn two_crates() -> Place {
     let near = cube(Vec3::new(-14.0, 0.5, 0.0), 0.5);
     let far = cube(Vec3::new(14.0, 1.5, 0.0), 1.5);
     let upright = |_: Vec3| Vec3::ZERO;
-    Place::new(mesh(&floor(), lean), &[mesh(&near, upright), mesh(&far, upright)])
+    Place::new(mesh(&floor(), false, lean), &[mesh(&near, false, upright), mesh(&far, false, upright)])
 }
 
 #[test]
 fn empty_hemispheres_are_what_tracing_them_gives() {
-    let upper = mesh(&cube(Vec3::new(0.0, 3.0, 0.0), 1.0), |_| Vec3::ZERO);
-    let open = Place::new(upper, &[mesh(&floor(), |_| Vec3::ZERO)]);
+    let upper = flat(&cube(Vec3::new(0.0, 3.0, 0.0), 1.0), false);
+    let open = Place::new(upper, &[flat(&floor(), false)]);
     for place in [&two_crates(), &open] {
-        let adaptive = Sampling { kernel: fixed(16, &[0.2, 0.4]).kernel, ..adaptive(0.02) };
-        for sampling in [fixed(1, &[0.2]), fixed(16, &[0.2, 0.4]), adaptive] {
+        let adaptive = Sampling { kernel: sampled(16, &[0.2, 0.4]).kernel, ..adaptive(0.02) };
+        for sampling in [sampled(1, &[0.2]), sampled(16, &[0.2, 0.4]), adaptive] {
             let (on, off) = (place.trace(&sampling, &[]), place.trace(&sampling, &[SkipRule::Empty]));
             assert_eq!(halves(&on), halves(&off));
             let (on, off) = (on.summary, off.summary);
@@ -124,13 +77,13 @@ fn empty_hemispheres_are_what_tracing_them_gives() {
         }
     }
     // With one ray, some samples have none above their surface; that they see nothing does not make them valid.
-    let slanting = two_crates().trace(&fixed(1, &[0.2]), &[]).summary;
+    let slanting = two_crates().trace(&sampled(1, &[0.2]), &[]).summary;
     assert!(slanting.invalid > 0, "{slanting:?}");
 }
 
 #[test]
 fn beyond_the_reach_no_value_changes_by_more_than_its_epsilon() {
-    let sampling = fixed(64, &[0.5, 1.0]);
+    let sampling = sampled(64, &[0.5, 1.0]);
     let place = two_crates();
     let (on, off) = (place.trace(&sampling, &[]), place.trace(&sampling, &[SkipRule::Reach]));
     let differences = halves(&on).into_iter().zip(halves(&off)).flat_map(|(on, off)| {
@@ -148,7 +101,7 @@ fn beyond_the_reach_no_value_changes_by_more_than_its_epsilon() {
 
 #[test]
 fn the_distance_of_plain_occlusion_is_no_rule() {
-    let sampling = Sampling { kernel: Kernel::Occlusion { ray_distance_m: 3.0 }, ..fixed(16, &[]) };
+    let sampling = Sampling { kernel: Kernel::Occlusion { ray_distance_m: 3.0 }, ..sampled(16, &[]) };
     let place = two_crates();
     let (on, off) = (place.trace(&sampling, &[]), place.trace(&sampling, &[SkipRule::Reach]));
     assert_eq!(on, off);
@@ -165,9 +118,9 @@ fn mean_ao(moments: &FaceMoments, channel: usize) -> f64 {
 #[test]
 fn buried_faces_are_given_up_and_the_others_are_not() {
     // Half of the floor lies under the back of another one.
-    let lid = mesh(&square(Vec3::new(-9.0, 0.6, 0.0), Vec3::Z * 5.0, Vec3::X * 7.0), |_| Vec3::ZERO);
-    let wall = mesh(&square(Vec3::new(8.0, 1.0, -4.0), Vec3::X * 8.0, Vec3::Y), |_| Vec3::ZERO);
-    let place = Place::new(mesh(&floor(), |_| Vec3::ZERO), &[lid, wall]);
+    let lid = flat(&square(Vec3::new(-9.0, 0.6, 0.0), Vec3::Z * 5.0, Vec3::X * 7.0), false);
+    let wall = flat(&square(Vec3::new(8.0, 1.0, -4.0), Vec3::X * 8.0, Vec3::Y), false);
+    let place = Place::new(flat(&floor(), false), &[lid, wall]);
     let (rmse, sampling) = (0.004, adaptive(0.004));
     let (on, off) = (place.trace(&sampling, &[]), place.trace(&sampling, &[SkipRule::Buried]));
     let taken = |moments: &FaceMoments| {
@@ -187,12 +140,12 @@ fn buried_faces_are_given_up_and_the_others_are_not() {
 
 #[test]
 fn adaptive_sampling_stays_within_the_error_that_it_aims_for() {
-    let wall = mesh(&square(Vec3::new(0.0, 1.0, -4.0), Vec3::X * 4.0, Vec3::Y), |_| Vec3::ZERO);
-    let place = Place::new(mesh(&floor(), |_| Vec3::ZERO), &[wall]);
+    let wall = flat(&square(Vec3::new(0.0, 1.0, -4.0), Vec3::X * 4.0, Vec3::Y), false);
+    let place = Place::new(flat(&floor(), false), &[wall]);
     let rmse = 0.01;
     let on = place.trace(&adaptive(rmse), &[]);
     let off = place
-        .trace(&Sampling { mean_samples_per_face: 512.0, max_samples_per_face: 512, ..fixed(16, &[0.5, 20.0]) }, &[]);
+        .trace(&Sampling { mean_samples_per_face: 512.0, max_samples_per_face: 512, ..sampled(16, &[0.5, 20.0]) }, &[]);
     for channel in 0..2 {
         let mean = |moments: &FaceMoments, face| moments.face(face).iter().map(|h| ao(h, channel)).sum::<f64>() / 2.0;
         let squares = (0..64).map(|face| (mean(&on, face) - mean(&off, face)).powi(2));

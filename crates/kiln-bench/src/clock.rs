@@ -1,5 +1,6 @@
 //! Wall and processor time of a stretch of work.
 
+use kiln_worker::process_time;
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
@@ -35,18 +36,4 @@ impl Stopwatch {
         let cpu_secs = process_time().saturating_sub(self.cpu).as_secs_f64();
         Cost { wall_secs: self.wall.elapsed().as_secs_f64(), cpu_secs }
     }
-}
-
-#[cfg(unix)]
-fn process_time() -> Duration {
-    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
-    Duration::new(time.tv_sec.unsigned_abs(), time.tv_nsec.unsigned_abs() as u32)
-}
-
-/// Elsewhere wall time has to do.
-#[cfg(not(unix))]
-fn process_time() -> Duration {
-    use std::sync::OnceLock;
-    static START: OnceLock<Instant> = OnceLock::new();
-    START.get_or_init(Instant::now).elapsed()
 }

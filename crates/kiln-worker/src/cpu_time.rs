@@ -28,15 +28,16 @@ impl CpuMeter {
     }
 }
 
+/// Processor time that this process has used so far, in all its threads.
 #[cfg(unix)]
-fn process_time() -> Duration {
+pub fn process_time() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     Duration::new(time.tv_sec.unsigned_abs(), time.tv_nsec.unsigned_abs() as u32)
 }
 
 /// Elsewhere wall time has to do.
 #[cfg(not(unix))]
-fn process_time() -> Duration {
+pub fn process_time() -> Duration {
     use std::{sync::OnceLock, time::Instant};
     static START: OnceLock<Instant> = OnceLock::new();
     START.get_or_init(Instant::now).elapsed()

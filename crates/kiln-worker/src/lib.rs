@@ -14,5 +14,6 @@ pub mod tasks;
 mod threads;
 
 pub use artefacts::{ArtefactError, Artefacts, LocalArtefacts, RemoteArtefacts};
+pub use cpu_time::process_time;
 pub use executor::{CancelFlag, Executor, Lanes, TaskError, TaskOutput};
 pub use session::{Role, WorkerConfig, WorkerError, run};

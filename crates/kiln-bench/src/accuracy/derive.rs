@@ -19,7 +19,7 @@ const QUALITIES: [&str; 3] = ["low", "medium", "high"];
 pub(super) struct EqualRays {
     /// The rays.
     pub(super) rays: f64,
-    /// Least surface RMSE of least squares with the default α, by any of its fixed counts within these rays.
+    /// Surface RMSE of least squares with the default α: of a quality its own, of fixed counts the least within these rays.
     pub(super) least_squares: f64,
     /// The same of area averages.
     pub(super) average: Option<f64>,
@@ -28,6 +28,12 @@ pub(super) struct EqualRays {
 }
 
 impl EqualRays {
+    /// Least squares beside what the others reach within as many rays, by any of their counts; nothing if they have none.
+    fn new(rays: f64, least_squares: f64, average: &[(f64, f64)], vertices: &[(f64, f64)]) -> Option<Self> {
+        let (average, vertices) = (best_within(average, rays), best_within(vertices, rays));
+        (average.is_some() || vertices.is_some()).then_some(Self { rays, least_squares, average, vertices })
+    }
+
     /// Whether least squares is below both.
     pub(super) fn is_lowest(&self) -> bool {
         [self.average, self.vertices].into_iter().flatten().all(|other| self.least_squares < other)
@@ -75,7 +81,7 @@ impl Calibration {
 pub(super) struct ChannelResult {
     /// At the ray counts of all fixed rows.
     pub(super) equal_rays: Vec<EqualRays>,
-    /// At the rays that Kiln's qualities take here: what bakes really spend.
+    /// Kiln's qualities, at the rays that they take here.
     pub(super) at_qualities: Vec<EqualRays>,
     /// Against fixed counts.
     pub(super) against_fixed: Option<EqualError>,
@@ -133,35 +139,24 @@ fn of_channel(result: &SceneResult, rows: &[RowSummary], channel: usize) -> Chan
         let estimated = *row.reported_rmse.get(channel)?;
         (actual > 0.0).then(|| Calibration { label: row.label.clone(), estimated, actual })
     };
-    let at = |rays: Vec<f64>| {
-        equal_rays(rays, &surface(Family::Fixed), &surface(Family::Average), &surface(Family::Vertices))
-    };
-    let rays_of = |family: Family, is_meant: fn(&str) -> bool| {
-        rows.iter().filter(|row| row.family == family && is_meant(&row.label)).map(|row| row.rays).collect()
-    };
+    let (average, vertices) = (surface(Family::Average), surface(Family::Vertices));
+    let at = |rays: f64, least_squares: f64| EqualRays::new(rays, least_squares, &average, &vertices);
+    let fixed = surface(Family::Fixed);
+    let quality = |row: &&RowSummary| row.family == Family::Kiln && QUALITIES.contains(&row.label.as_str());
     ChannelResult {
-        equal_rays: at(rays_of(Family::Fixed, |_| true)),
-        at_qualities: at(rays_of(Family::Kiln, |label| QUALITIES.contains(&label))),
+        equal_rays: within_counts(&fixed).into_iter().filter_map(|(rays, rmse)| at(rays, rmse)).collect(),
+        at_qualities: rows.iter().filter(quality).filter_map(|row| at(row.rays, row.surface[channel].rmse)).collect(),
         against_fixed: against(Family::Fixed),
         against_random: against(Family::Random),
         calibration: rows.iter().filter(|row| row.family == Family::Kiln).filter_map(calibration).collect(),
     }
 }
 
-/// The methods at the given numbers of rays, where there is something to compare.
-fn equal_rays(
-    mut counts: Vec<f64>,
-    fixed: &[(f64, f64)],
-    average: &[(f64, f64)],
-    vertices: &[(f64, f64)],
-) -> Vec<EqualRays> {
+/// The ray counts of rows, ascending, each with the least error within it.
+fn within_counts(rows: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut counts: Vec<f64> = rows.iter().map(|row| row.0).collect();
     counts.sort_by(f64::total_cmp);
-    let at = |rays: f64| {
-        let (average, vertices) = (best_within(average, rays), best_within(vertices, rays));
-        let least_squares = best_within(fixed, rays)?;
-        (average.is_some() || vertices.is_some()).then_some(EqualRays { rays, least_squares, average, vertices })
-    };
-    counts.into_iter().filter_map(at).collect()
+    counts.into_iter().filter_map(|rays| Some((rays, best_within(rows, rays)?))).collect()
 }
 
 /// What all scenes come to.
@@ -204,11 +199,11 @@ mod tests {
         let fixed = [(100.0, 0.05), (400.0, 0.02), (400.0, 0.03)];
         let average = [(100.0, 0.06), (400.0, 0.055)];
         let vertices = [(90.0, 0.04), (500.0, 0.01)];
-        let found = equal_rays(vec![400.0, 100.0, 90.0], &fixed, &average, &vertices);
-        assert_eq!(found.len(), 2, "no least squares of 90 rays");
-        assert!(!found[0].is_lowest(), "the vertices are better at 100 rays");
-        assert!(found[1].is_lowest() && found[1].least_squares == 0.02 && found[1].vertices == Some(0.04));
-        assert!(equal_rays(vec![400.0], &fixed, &[], &[]).is_empty(), "nothing to compare with");
+        assert_eq!(within_counts(&fixed), [(100.0, 0.05), (400.0, 0.02), (400.0, 0.02)]);
+        let at = |rays, rmse| EqualRays::new(rays, rmse, &average, &vertices).unwrap();
+        assert!(!at(100.0, 0.05).is_lowest(), "the vertices are better at 100 rays");
+        assert!(at(400.0, 0.02).is_lowest() && at(400.0, 0.02).vertices == Some(0.04));
+        assert!(EqualRays::new(50.0, 0.1, &average, &vertices).is_none(), "nothing to compare with");
     }
 
     #[test]

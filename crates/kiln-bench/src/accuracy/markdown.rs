@@ -49,9 +49,9 @@ fn conclusions(out: &mut String, report: &Report) -> Result {
     writeln!(out, "## What it comes to\n")?;
     writeln!(
         out,
-        "- Least squares on fixed counts has the lowest surface RMSE, against area averages and AO at the vertices, at the \
-         rays that Kiln's three qualities take, at every half-distance, on {} of {} scenes. Over all ray counts that were \
-         tried, fewer and more than a bake takes, it is lowest at {} of {}.",
+        "- Least squares as Kiln bakes has a lower surface RMSE than area averages and AO at the vertices have within as \
+         many rays, at all three qualities and every half-distance, on {} of {} scenes. With fixed counts for all, over \
+         every number of rays that was tried, fewer and more than a bake takes, it is lowest at {} of {}.",
         overall.lowest_at_qualities,
         overall.compared_at_qualities,
         overall.lowest_and_all_counts[0],
