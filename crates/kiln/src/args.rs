@@ -96,4 +96,34 @@ mod tests {
     fn the_command_line_is_consistent() {
         Cli::command().debug_assert();
     }
+
+    /// The shortest command lines of a command and of those under it, each with what it demands.
+    fn shortest(command: &clap::Command, before: &[String]) -> Vec<Vec<String>> {
+        let mut line = before.to_vec();
+        line.push(command.get_name().to_owned());
+        let under: Vec<_> = command.get_subcommands().collect();
+        if !under.is_empty() {
+            return under.into_iter().flat_map(|command| shortest(command, &line)).collect();
+        }
+        for argument in command.get_arguments().filter(|argument| argument.is_required_set()) {
+            line.extend(argument.get_long().map(|long| format!("--{long}")));
+            line.push("1".to_owned());
+        }
+        if command.get_name() == "example" {
+            // Without `--list` it demands more than it says.
+            line.push("--list".to_owned());
+        }
+        vec![line]
+    }
+
+    /// A name that a command and all commands have in common, but not its type, is found only where it is read.
+    #[test]
+    fn every_command_parses() {
+        let lines = shortest(&Cli::command(), &[]);
+        assert!(lines.len() >= 15, "{lines:?}");
+        for line in lines {
+            let parsed = Cli::try_parse_from(&line);
+            assert!(parsed.is_ok(), "{line:?}: {}", parsed.err().map(|error| error.to_string()).unwrap_or_default());
+        }
+    }
 }

@@ -134,11 +134,8 @@ fn detail(stage: &v1::StageProgress) -> String {
     let mut text = format!("{}/{} tasks", stage.done, stage.total);
     if counts_rays(stage) && stage.seconds > 0.0 {
         let rate = stage.rays_traced as f64 / stage.seconds / 1e6;
-        text += &format!(
-            ", {:.1} of {:.1} Mrays, {rate:.2} Mrays/s",
-            stage.rays_done as f64 / 1e6,
-            stage.rays_total as f64 / 1e6
-        );
+        // Rays planned are no more than a measure of the work: adaptive sampling finds out how many it takes.
+        text += &format!(", {:.1} Mrays, {rate:.2} Mrays/s", stage.rays_traced as f64 / 1e6);
     }
     if stage.cache_hits > 0 {
         text += &format!(", {} from the store", stage.cache_hits);

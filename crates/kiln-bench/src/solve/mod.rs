@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 /// Options of `kiln bench solve`.
 #[derive(clap::Args, Debug)]
 #[command(after_help = "Examples:
-  kiln bench solve --peer ./solve-peer --level level.glb --json out.json
+  kiln bench solve --peer ./solve-peer --level level.glb --json-out out.json
   kiln bench solve --stress")]
 pub struct Args {
     /// The comparison program, built by the command at the head of tests/peers/solve.cpp
@@ -57,7 +57,7 @@ pub struct Args {
     stress: bool,
     /// Write everything as JSON
     #[arg(long, value_name = "FILE.json")]
-    json: Option<PathBuf>,
+    json_out: Option<PathBuf>,
     /// Solves a system file and writes the answer: what the command runs in a process of its own
     #[arg(long, hide = true, num_args = 2, value_names = ["SYSTEM", "ANSWER"])]
     run_one: Option<Vec<PathBuf>>,
@@ -92,7 +92,7 @@ pub fn run(args: &Args) -> Result<(), BenchError> {
     if args.peer.is_none() {
         println!("\n{}", table::HOW_TO_GET_PEERS);
     }
-    let Some(path) = &args.json else { return Ok(()) };
+    let Some(path) = &args.json_out else { return Ok(()) };
     let text = json_text(&Report { provenance, cases })?;
     std::fs::write(path, text).map_err(|error| BenchError::File {
         path: path.clone(),
