@@ -119,7 +119,7 @@ pub(crate) fn resolve(
     let adaptive_mean = target.map(|_| quality.first_samples_per_face());
     let sampling = Sampling {
         target,
-        rays_per_sample: settings.rays_per_sample.unwrap_or(quality.rays_per_sample()),
+        rays_per_sample: settings.rays_per_sample.unwrap_or(Quality::RAYS_PER_SAMPLE),
         mean_samples_per_face: adaptive_mean.unwrap_or(quality.mean_samples_per_face()),
         density_per_m2: settings.density_per_m2,
         min_samples_per_face: quality.min_samples_per_face().min(most),

@@ -142,7 +142,7 @@ pub(crate) enum QualityChoice {
     Medium,
     /// For a release: 16 samples of 32 rays per face.
     High,
-    /// To compare others with: 64 samples of 256 rays per face.
+    /// To compare others with: 1,024 samples of 16 rays per face.
     Reference,
 }
 
