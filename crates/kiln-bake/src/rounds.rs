@@ -74,8 +74,8 @@ impl<'a> Rounds<'a> {
 
     /// Takes samples until the piece has enough.
     pub(crate) fn run(&self, sampler: &mut Sampler<'_>) -> Result<(), TraceError> {
+        let mut noise = self.noises(&sampler.halves);
         for _ in 0..MOST_ROUNDS {
-            let noise = [0, 1].map(|half| self.noise(&sampler.halves, half));
             let counts = [0, 1].map(|half| self.allocate(&noise[1 - half], &taken(&sampler.halves, half)));
             let wanted: Vec<[u32; 2]> = counts[0].iter().zip(&counts[1]).map(|(a, b)| [*a, *b]).collect();
             let has = sampler.halves.iter().map(|halves| halves.map(|half| half.taken));
@@ -83,9 +83,14 @@ impl<'a> Rounds<'a> {
                 break;
             }
             sampler.extend(&wanted)?;
+            noise = self.noises(&sampler.halves);
         }
-        self.account(sampler);
+        self.account(sampler, &noise);
         Ok(())
+    }
+
+    fn noises(&self, halves: &[[HalfMoments; 2]]) -> [Noise; 2] {
+        [0, 1].map(|half| self.noise(halves, half))
     }
 
     fn noise(&self, halves: &[[HalfMoments; 2]], half: usize) -> Noise {
@@ -119,8 +124,7 @@ impl<'a> Rounds<'a> {
     }
 
     /// Counts the rays that were not needed.
-    fn account(&self, sampler: &mut Sampler<'_>) {
-        let noise = [0, 1].map(|half| self.noise(&sampler.halves, half));
+    fn account(&self, sampler: &mut Sampler<'_>, noise: &[Noise; 2]) {
         let is_buried = |halves: &[HalfMoments; 2]| halves.iter().all(|half| half.valid == 0);
         let buried: Vec<bool> = sampler.halves.iter().map(is_buried).collect();
         for (half, noise) in noise.iter().enumerate() {
