@@ -98,4 +98,12 @@ impl Tracer for GpuTracer {
         assert_eq!(rays.len(), hits.len(), "one hit for each ray");
         trace::run(self, rays, hits)
     }
+
+    fn any_hit(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<(), TraceError> {
+        assert_eq!(rays.len(), blocked.len(), "one answer for each ray");
+        let mut hits = vec![Hit::MISS; rays.len()];
+        trace::run(self, rays, &mut hits)?;
+        blocked.iter_mut().zip(&hits).for_each(|(blocked, hit)| *blocked = hit.is_hit());
+        Ok(())
+    }
 }

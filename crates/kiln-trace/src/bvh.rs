@@ -5,7 +5,7 @@
 //! stack, which only contrived input gives, are built again by halving the sorted primitives.
 
 use bytemuck::{Pod, Zeroable};
-use glam::{Vec3A, Vec4};
+use glam::{Vec3, Vec3A, Vec4};
 use obvhs::{
     BvhBuildParams,
     aabb::Aabb,
@@ -45,6 +45,13 @@ impl BvhNode {
         Self { bounds: [low, low, low, high, high, high], children: [NO_CHILD; 4] }
     };
 
+    /// The used slots, as box and reference.
+    pub(crate) fn slots(&self) -> impl Iterator<Item = (Vec3, Vec3, u32)> {
+        let corner = |slot: usize, base: usize| Vec3::from_array([0, 1, 2].map(|axis| self.bounds[base + axis][slot]));
+        let used = (0..4).filter(|&slot| self.children[slot] != NO_CHILD);
+        used.map(move |slot| (corner(slot, 0), corner(slot, 3), self.children[slot]))
+    }
+
     fn set_child(&mut self, slot: usize, aabb: &Aabb, child: u32) {
         for axis in 0..3 {
             self.bounds[axis][slot] = aabb.min[axis];
@@ -52,6 +59,31 @@ impl BvhNode {
         }
         self.children[slot] = child;
     }
+}
+
+/// What a slot of a node leads to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BvhChild {
+    /// Least corner of its box.
+    pub min: Vec3,
+    /// Greatest corner of its box.
+    pub max: Vec3,
+    /// What is in the box.
+    pub link: BvhLink,
+}
+
+/// A node or a leaf of a tree.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BvhLink {
+    /// Index of an inner node.
+    Node(u32),
+    /// A run of what the tree is over: triangles of a mesh, one instance of a scene.
+    Leaf {
+        /// Index of the first one.
+        first: u32,
+        /// How many, at least one.
+        count: u32,
+    },
 }
 
 /// A tree over primitives that are known by their boxes only.

@@ -107,4 +107,9 @@ impl Tracer for CpuTracer {
         rays.par_iter().zip(hits).for_each(|(ray, hit)| *hit = self.closest_hit(ray));
         Ok(())
     }
+
+    fn any_hit(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<(), TraceError> {
+        rays.par_iter().zip(blocked).for_each(|(ray, blocked)| *blocked = self.closest_hit(ray).is_hit());
+        Ok(())
+    }
 }

@@ -17,7 +17,7 @@ mod tracer;
 mod traverse;
 mod triangle;
 
-pub use bvh::{BvhNode, LEAF_BIT, MAX_STACK, NO_CHILD};
+pub use bvh::{BvhChild, BvhLink, BvhNode, LEAF_BIT, MAX_STACK, NO_CHILD};
 pub use cpu::CpuTracer;
 pub use directions::{cosine_direction, orthonormal_basis};
 pub use kernel::{KernelRates, MAX_RAYS_PER_SAMPLE, ONE, REACH_EPSILON};

@@ -1,8 +1,8 @@
 //! The BVH of one mesh: what of it stops rays, in object space.
 
 use crate::{
-    bvh::{self, BvhNode},
-    triangle::{TWO_SIDED_BIT, TriangleBlock},
+    bvh::{self, BvhChild, BvhLink, BvhNode, LEAF_BIT},
+    triangle::{NO_PRIMITIVE, TWO_SIDED_BIT, TriangleBlock},
 };
 use glam::{DVec3, Vec3, Vec3A};
 use kiln_core::{Bounds, Mesh};
@@ -48,6 +48,26 @@ impl MeshBvh {
             block
         };
         Self { nodes: tree.nodes, blocks: tree.leaves.iter().map(block).collect(), bounds }
+    }
+
+    /// The children of a node. There is none without faces; else the root is node 0.
+    pub fn children(&self, node: u32) -> impl Iterator<Item = BvhChild> {
+        self.nodes[node as usize].slots().map(|(min, max, child)| {
+            let link = if child & LEAF_BIT == 0 {
+                BvhLink::Node(child)
+            } else {
+                let block = child & !LEAF_BIT;
+                let used = self.blocks[block as usize].primitives.iter().filter(|&&id| id != NO_PRIMITIVE);
+                BvhLink::Leaf { first: 4 * block, count: used.count() as u32 }
+            };
+            BvhChild { min, max, link }
+        })
+    }
+
+    /// Corners of a triangle that a leaf names, object space, and its face index with [`TWO_SIDED_BIT`].
+    pub fn triangle(&self, index: u32) -> ([Vec3; 3], u32) {
+        let (block, lane) = (&self.blocks[index as usize / 4], index as usize % 4);
+        ([0, 1, 2].map(|corner| block.corner(corner, lane)), block.primitives[lane])
     }
 
     /// Memory of nodes and triangles, bytes.

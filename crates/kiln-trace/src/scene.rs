@@ -2,7 +2,7 @@
 
 use crate::{
     MeshBvh,
-    bvh::{self, BvhNode},
+    bvh::{self, BvhChild, BvhLink, BvhNode},
 };
 use glam::{DAffine3, DVec3, Mat3, Vec3, Vec3A};
 use obvhs::aabb::Aabb;
@@ -76,6 +76,15 @@ impl Scene {
             }
         }
         Self { meshes, instances, nodes }
+    }
+
+    /// The children of a node of the tree over the instances. There is none without instances; else the root is node 0.
+    pub fn children(&self, node: u32) -> impl Iterator<Item = BvhChild> {
+        self.nodes[node as usize].slots().map(|(min, max, child)| {
+            let is_node = child & bvh::LEAF_BIT == 0;
+            let leaf = BvhLink::Leaf { first: child & !bvh::LEAF_BIT, count: 1 };
+            BvhChild { min, max, link: if is_node { BvhLink::Node(child) } else { leaf } }
+        })
     }
 
     /// Memory of all nodes, triangles and instances, bytes.

@@ -116,4 +116,8 @@ pub trait Tracer: Send + Sync {
 
     /// Closest hit of each ray, for probes and benchmarks. `hits` has one entry for each ray.
     fn trace(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<(), TraceError>;
+
+    /// Whether each ray hits anything up to its `t_max`: with the same rays, what [`Tracer::trace`] finds. `blocked` has
+    /// one entry for each ray.
+    fn any_hit(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<(), TraceError>;
 }

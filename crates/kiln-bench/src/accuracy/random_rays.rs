@@ -78,4 +78,8 @@ impl Tracer for RandomRays<'_> {
     fn trace(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<(), TraceError> {
         self.inner.trace(rays, hits)
     }
+
+    fn any_hit(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<(), TraceError> {
+        self.inner.any_hit(rays, blocked)
+    }
 }
