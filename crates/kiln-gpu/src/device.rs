@@ -1,4 +1,4 @@
-//! An open adapter: kernels are compiled and run here, one dispatch at a time.
+//! An open adapter: kernels are compiled here; [`crate::flight`] runs them.
 //!
 //! wgpu reports trouble in four ways, and each becomes a [`TraceError`]: errors of a call go to a handler (its default
 //! would panic), the loss of the device to a callback, a failed mapping to the mapping's callback, and a loss that
@@ -7,32 +7,34 @@
 use crate::{
     GpuError,
     adapter::{self, AdapterChoice, AdapterSummary},
+    flight::{Call, Flights, Pipeline},
     shader::{self, Entry, SceneShape},
 };
 use kiln_trace::TraceError;
 use std::{
     collections::BTreeMap,
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc},
-    time::{Duration, Instant},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
 };
 
 /// Storage bindings that a kernel has for its input and its output.
 pub(crate) const CALL_STORAGE_BUFFERS: u32 = 2;
 
 /// A dispatch takes milliseconds; a driver that says nothing for so long does not answer at all.
-const SILENCE: Duration = Duration::from_secs(120);
+pub(crate) const SILENCE: Duration = Duration::from_secs(120);
 
-/// An adapter that has been opened. Tracers share it; calls may come from several threads at once and take turns.
+/// An adapter that has been opened. Tracers share it; calls may come from several threads at once.
 #[derive(Debug)]
 pub struct GpuDevice {
     adapter: AdapterSummary,
     limits: wgpu::Limits,
+    has_subgroups: bool,
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     faults: Arc<Faults>,
     kernels: Mutex<BTreeMap<(Entry, SceneShape), Arc<CompiledKernel>>>,
-    call: Mutex<CallBuffers>,
+    flights: Flights,
 }
 
 /// The first thing that went wrong with a device, for good.
@@ -49,28 +51,8 @@ impl Faults {
 /// A kernel with the layouts of its bind groups.
 #[derive(Debug)]
 pub(crate) struct CompiledKernel {
-    pipeline: wgpu::ComputePipeline,
-    call_layout: wgpu::BindGroupLayout,
-}
-
-/// One dispatch.
-pub(crate) struct Call<'a> {
-    pub(crate) kernel: &'a CompiledKernel,
-    /// Group 1 of kernels that read a scene.
-    pub(crate) scene: Option<&'a wgpu::BindGroup>,
-    pub(crate) params: &'a [u8],
-    pub(crate) input: &'a [u8],
-    pub(crate) output_bytes: u64,
-    pub(crate) workgroups: [u32; 2],
-}
-
-/// Buffers that grow with the calls and are used again.
-#[derive(Debug, Default)]
-struct CallBuffers {
-    params: Option<wgpu::Buffer>,
-    input: Option<wgpu::Buffer>,
-    output: Option<wgpu::Buffer>,
-    readback: Option<wgpu::Buffer>,
+    pub(crate) pipeline: wgpu::ComputePipeline,
+    pub(crate) call_layout: wgpu::BindGroupLayout,
 }
 
 /// The data that these locks guard is right at every moment, so that a panic elsewhere does not matter.
@@ -81,6 +63,12 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl GpuDevice {
     /// Opens the adapter that is chosen. `None` where there is no such adapter, unless it was named.
     pub fn open(choice: &AdapterChoice) -> Result<Option<Arc<Self>>, GpuError> {
+        Self::open_with(choice, true)
+    }
+
+    /// As [`GpuDevice::open`]; `subgroups` permits kernels to use subgroup operations where the adapter has them. Results
+    /// are the same either way.
+    pub fn open_with(choice: &AdapterChoice, subgroups: bool) -> Result<Option<Arc<Self>>, GpuError> {
         let adapters = adapter::enumerate();
         let summaries: Vec<AdapterSummary> =
             adapters.iter().map(|adapter| AdapterSummary::of(&adapter.get_info())).collect();
@@ -90,13 +78,17 @@ impl GpuDevice {
             let found = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
             return Err(GpuError::NotFound { wanted: wanted.clone(), found });
         };
-        let adapter = &adapters[index];
-        let summary = summaries[index].clone();
+        Self::open_adapter(&adapters[index], &summaries[index], subgroups).map(Some)
+    }
+
+    fn open_adapter(adapter: &wgpu::Adapter, summary: &AdapterSummary, subgroups: bool) -> Result<Arc<Self>, GpuError> {
+        let wanted = if subgroups { wgpu::Features::SUBGROUP } else { wgpu::Features::empty() };
+        let features = wanted & adapter.features();
         // All that the adapter has: wgpu's defaults would cap a binding at 128 MiB.
         let limits = adapter.limits();
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("kiln"),
-            required_features: wgpu::Features::empty(),
+            required_features: features,
             required_limits: limits.clone(),
             memory_hints: wgpu::MemoryHints::MemoryUsage,
             ..Default::default()
@@ -108,15 +100,16 @@ impl GpuDevice {
         device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| handler.set(&error.to_string())));
         let handler = Arc::clone(&faults);
         device.set_device_lost_callback(move |reason, message| handler.set(&format!("{reason:?}: {message}")));
-        Ok(Some(Arc::new(Self {
-            adapter: summary,
+        Ok(Arc::new(Self {
+            adapter: summary.clone(),
             limits,
+            has_subgroups: features.contains(wgpu::Features::SUBGROUP),
             device,
             queue,
             faults,
             kernels: Mutex::default(),
-            call: Mutex::default(),
-        })))
+            flights: Flights::new(),
+        }))
     }
 
     /// The adapter.
@@ -127,6 +120,11 @@ impl GpuDevice {
     /// The lane of its results; see [`AdapterSummary::lane`].
     pub fn lane(&self) -> String {
         self.adapter.lane()
+    }
+
+    /// Whether kernels use subgroup operations.
+    pub fn has_subgroups(&self) -> bool {
+        self.has_subgroups
     }
 
     /// Name, kind and driver in one line, for a person.
@@ -155,6 +153,16 @@ impl GpuDevice {
     /// The fault that was found, if any.
     pub(crate) fn check(&self) -> Result<(), TraceError> {
         lock(&self.faults.0).clone().map_or(Ok(()), |reason| Err(self.lost(reason)))
+    }
+
+    /// Takes note of a fault and makes an error of it.
+    pub(crate) fn fail(&self, reason: String) -> TraceError {
+        self.faults.set(&reason);
+        self.lost(reason)
+    }
+
+    pub(crate) fn flights(&self) -> &Flights {
+        &self.flights
     }
 
     /// Runs `make` and gives the error that it caused on this thread, if any.
@@ -213,7 +221,7 @@ impl GpuDevice {
     fn compile(&self, entry: Entry, shape: &SceneShape) -> CompiledKernel {
         let device = &self.device;
         let label = Some(entry.name());
-        let source = wgpu::ShaderSource::Wgsl(shader::source(entry, shape).into());
+        let source = wgpu::ShaderSource::Wgsl(shader::source(entry, shape, self.has_subgroups).into());
         let module = device.create_shader_module(wgpu::ShaderModuleDescriptor { label, source });
         let call_layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label,
@@ -248,9 +256,9 @@ impl GpuDevice {
         self.device.create_bind_group_layout(&descriptor)
     }
 
-    /// Waits for everything that was submitted.
-    pub(crate) fn wait(&self) -> Result<(), TraceError> {
-        let wait = wgpu::PollType::Wait { submission_index: None, timeout: Some(SILENCE) };
+    /// Waits for a submission, or for everything that was submitted.
+    pub(crate) fn wait(&self, submission_index: Option<wgpu::SubmissionIndex>) -> Result<(), TraceError> {
+        let wait = wgpu::PollType::Wait { submission_index, timeout: Some(SILENCE) };
         // wgpu 30 panics where the device is lost while it waits.
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(wait))) {
             Ok(Ok(_)) => {}
@@ -260,91 +268,12 @@ impl GpuDevice {
         self.check()
     }
 
-    /// Runs a kernel, gives its output to `read`, and returns the time that it took.
-    pub(crate) fn run(&self, call: &Call, read: impl FnOnce(&[u8])) -> Result<Duration, TraceError> {
-        let mut buffers = lock(&self.call);
-        self.check()?;
-        buffers.reserve(self, call)?;
-        let (Some(params), Some(input), Some(output), Some(readback)) =
-            (&buffers.params, &buffers.input, &buffers.output, &buffers.readback)
-        else {
-            return Err(self.lost("its buffers are missing"));
-        };
-        let start = Instant::now();
-        self.queue.write_buffer(params, 0, call.params);
-        self.queue.write_buffer(input, 0, call.input);
-        let entries = [params, input, output].map(wgpu::Buffer::as_entire_binding);
-        let entry = |(binding, resource)| wgpu::BindGroupEntry { binding, resource };
-        let entries: Vec<_> = (0u32..).zip(entries).map(entry).collect();
-        let group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: None,
-            layout: &call.kernel.call_layout,
-            entries: &entries,
-        });
-        let mut encoder = self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            pass.set_pipeline(&call.kernel.pipeline);
-            pass.set_bind_group(0, &group, &[]);
-            if let Some(scene) = call.scene {
-                pass.set_bind_group(1, scene, &[]);
-            }
-            pass.dispatch_workgroups(call.workgroups[0], call.workgroups[1], 1);
-        }
-        encoder.copy_buffer_to_buffer(output, 0, readback, 0, call.output_bytes);
-        self.queue.submit([encoder.finish()]);
-        self.read_back(readback, call.output_bytes, read)?;
-        Ok(start.elapsed())
+    /// Runs a kernel and gives its output to `read`.
+    pub(crate) fn run(&self, call: &Call<'_>, mut read: impl FnMut(&[u8])) -> Result<(), TraceError> {
+        let mut pipeline = Pipeline::new(self, |(), bytes, _| read(bytes));
+        pipeline.launch(call, ())?;
+        pipeline.finish()
     }
-
-    fn read_back(&self, buffer: &wgpu::Buffer, bytes: u64, read: impl FnOnce(&[u8])) -> Result<(), TraceError> {
-        let (sender, receiver) = mpsc::channel();
-        // Where nobody listens any more, nobody needs the answer.
-        buffer.map_async(wgpu::MapMode::Read, ..bytes, move |result| drop(sender.send(result)));
-        self.wait()?;
-        let failed = |reason: String| {
-            self.faults.set(&reason);
-            self.lost(reason)
-        };
-        // Another thread that waits may have found the mapping done first; it then calls back in a moment.
-        match receiver.recv_timeout(SILENCE) {
-            Ok(Ok(())) => {}
-            Ok(Err(error)) => return Err(failed(format!("results could not be mapped: {error}"))),
-            Err(_) => return Err(failed("results were not mapped in time".to_owned())),
-        }
-        match buffer.get_mapped_range(..bytes) {
-            Ok(view) => read(&view),
-            Err(error) => return Err(failed(format!("results could not be read: {error}"))),
-        }
-        buffer.unmap();
-        Ok(())
-    }
-}
-
-impl CallBuffers {
-    /// Makes room for a call.
-    fn reserve(&mut self, gpu: &GpuDevice, call: &Call) -> Result<(), TraceError> {
-        use wgpu::BufferUsages as Usage;
-        let (params, input, output) = (call.params.len() as u64, call.input.len() as u64, call.output_bytes);
-        grow(&mut self.params, gpu, "parameters", params, Usage::UNIFORM | Usage::COPY_DST)?;
-        grow(&mut self.input, gpu, "the input of a dispatch", input, Usage::STORAGE | Usage::COPY_DST)?;
-        grow(&mut self.output, gpu, "the output of a dispatch", output, Usage::STORAGE | Usage::COPY_SRC)?;
-        grow(&mut self.readback, gpu, "the results of a dispatch", output, Usage::MAP_READ | Usage::COPY_DST)
-    }
-}
-
-fn grow(
-    buffer: &mut Option<wgpu::Buffer>,
-    gpu: &GpuDevice,
-    what: &'static str,
-    bytes: u64,
-    usage: wgpu::BufferUsages,
-) -> Result<(), TraceError> {
-    if buffer.as_ref().is_none_or(|buffer| buffer.size() < bytes) {
-        *buffer = None;
-        *buffer = Some(gpu.create_buffer(what, bytes.next_power_of_two().max(256), usage)?);
-    }
-    Ok(())
 }
 
 fn uniform_entry(binding: u32) -> wgpu::BindGroupLayoutEntry {

@@ -3,8 +3,9 @@
 //! A workgroup of 64 lanes serves a group of neighbouring samples: two cones of 32 lanes, each lane with one sample
 //! for good. Step by step the cones take the cells of the unit square ([`crate::sampling`]), so that the 32 lanes of a
 //! cone always look the same way; a lane adds up the values of its rays in registers, as integers, and at the end the
-//! first lane of each sample adds its neighbours' sums. Nothing is added atomically, and since integer sums know no
-//! order, what is dispatched together changes no result. Two cones a workgroup, since some GPUs run 64 lanes at a
+//! lanes of a sample add their sums: through the workgroup's memory (`reduce.wgsl`) or, where the adapter has subgroups,
+//! by shuffles first (`reduce_subgroup.wgsl`). Nothing is added atomically, and since integer sums know no
+//! order, neither that nor what is dispatched together changes a result. Two cones a workgroup, since some GPUs run 64 lanes at a
 //! time and others limit the number of workgroups below that of their warps.
 //!
 //! Source of the cones: the paper's groups of 32 rays; here the samples of a group share them.
@@ -13,7 +14,7 @@
 
 use crate::{
     GpuTracer,
-    device::Call,
+    flight::{Call, Pipeline},
     kernel::Kernel,
     sampling::{CONE_LANES, Cones},
     shader::Entry,
@@ -105,13 +106,17 @@ impl<'a> Gather<'a> {
     /// Sums over all samples, in as many dispatches as the budget of rays needs.
     pub(crate) fn run(&self, samples: &[SurfaceSample], sums: &mut [CosineSums]) -> Result<(), TraceError> {
         sums.fill(CosineSums::default());
+        let mut pipeline = Pipeline::new(self.tracer.gpu(), |part: Part, bytes, elapsed| {
+            self.tracer.observe(part.rays, elapsed);
+            part.add(bytes, sums);
+        });
         let mut done = 0;
         while done < samples.len() {
             let end = samples.len().min(done + self.batch_samples());
-            self.run_batch(&samples[done..end], &mut sums[done..end])?;
+            self.run_batch(done, &samples[done..end], |call, part| pipeline.launch(call, part))?;
             done = end;
         }
-        Ok(())
+        pipeline.finish()
     }
 
     /// As many whole groups as the budget, the workgroups and the buffers of one dispatch have room for; at least one.
@@ -123,16 +128,33 @@ impl<'a> Gather<'a> {
         usize::try_from((fitting / group).max(1) * group).unwrap_or(usize::MAX)
     }
 
-    /// One dispatch, or several where not even one group has all its slices within the budget.
-    fn run_batch(&self, samples: &[SurfaceSample], sums: &mut [CosineSums]) -> Result<(), TraceError> {
+    /// One dispatch, or several where not even one group has all its slices within the budget. `first` is the index of
+    /// the first sample.
+    fn run_batch(
+        &self,
+        first: usize,
+        samples: &[SurfaceSample],
+        mut launch: impl FnMut(&Call<'_>, Part) -> Result<(), TraceError>,
+    ) -> Result<(), TraceError> {
         let records: Vec<SampleRecord> = samples.iter().map(SampleRecord::from).collect();
+        let kernel = self.tracer.kernel(Entry::Gather)?;
         let slices = self.cones.cell_count().div_ceil(CELLS_PER_SLICE);
         let mut first_slice = 0;
         while first_slice < slices {
             let results = MAX_SAMPLES / samples.len() as u64;
             let fitting = results.min(self.tracer.ray_budget() / (samples.len() as u64 * self.rays_per_slice()));
             let slice_count = u32::try_from(fitting.max(1)).unwrap_or(u32::MAX).min(slices - first_slice);
-            self.dispatch(&records, first_slice, slice_count, sums)?;
+            let params = self.params(records.len(), first_slice);
+            let call = Call {
+                kernel: &kernel,
+                scene: Some(self.tracer.scene_group()),
+                params: bytes_of(&params),
+                input: cast_slice(&records),
+                output_bytes: u64::from(slice_count) * (records.len() * size_of::<SumsRecord>()) as u64,
+                workgroups: [params.sample_count.div_ceil(self.cones.samples_per_cone()), slice_count],
+            };
+            let rays = self.rays_per_slice() * u64::from(slice_count) * records.len() as u64;
+            launch(&call, Part { first, samples: records.len(), rays })?;
             first_slice += slice_count;
         }
         Ok(())
@@ -144,41 +166,35 @@ impl<'a> Gather<'a> {
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "a dispatch has at most MAX_SAMPLES samples")]
-    fn dispatch(
-        &self,
-        records: &[SampleRecord],
-        first_slice: u32,
-        slice_count: u32,
-        sums: &mut [CosineSums],
-    ) -> Result<(), TraceError> {
-        let params = GatherParams {
+    fn params(&self, samples: usize, first_slice: u32) -> GatherParams {
+        GatherParams {
             kernel: Kernel::new(self.rates),
             cones: self.cones,
             t_max: self.rates.t_max.min(MOST_DISTANCE),
-            sample_count: records.len() as u32,
+            sample_count: samples as u32,
             cells_per_slice: CELLS_PER_SLICE,
             first_slice,
-        };
-        let groups = (records.len() as u32).div_ceil(self.cones.samples_per_cone());
-        let kernel = self.tracer.kernel(Entry::Gather)?;
-        let call = Call {
-            kernel: &kernel,
-            scene: Some(self.tracer.scene_group()),
-            params: bytes_of(&params),
-            input: cast_slice(records),
-            output_bytes: u64::from(slice_count) * (records.len() * size_of::<SumsRecord>()) as u64,
-            workgroups: [groups, slice_count],
-        };
-        let rays = self.rays_per_slice() * u64::from(slice_count) * records.len() as u64;
-        let elapsed = self.tracer.gpu().run(&call, |bytes| {
-            for slice in bytes.chunks_exact(records.len() * size_of::<SumsRecord>()) {
-                for (sum, record) in sums.iter_mut().zip(slice.chunks_exact(size_of::<SumsRecord>())) {
-                    add(sum, &pod_read_unaligned(record));
-                }
+        }
+    }
+}
+
+/// What a dispatch was about.
+struct Part {
+    /// Index of the first sample.
+    first: usize,
+    samples: usize,
+    rays: u64,
+}
+
+impl Part {
+    /// Adds the sums of each slice.
+    fn add(&self, bytes: &[u8], sums: &mut [CosineSums]) {
+        let sums = &mut sums[self.first..self.first + self.samples];
+        for slice in bytes.chunks_exact(self.samples * size_of::<SumsRecord>()) {
+            for (sum, record) in sums.iter_mut().zip(slice.chunks_exact(size_of::<SumsRecord>())) {
+                add(sum, &pod_read_unaligned(record));
             }
-        })?;
-        self.tracer.observe(rays, elapsed);
-        Ok(())
+        }
     }
 }
 

@@ -7,28 +7,39 @@
 //! |---|---|
 //! | `sampling` | directions, and the cones of 32 that they are dealt to |
 //! | `kernel` | the value of a hit |
-//! | `traverse` | the scene's layout, traversal, triangles |
-//! | `gather`, `trace` | the two operations of a tracer |
+//! | `node`, `triangle`, `traverse` | boxes, triangles, and the way of a ray through both levels |
+//! | `gather`, `trace`, `any_hit` | the operations of a tracer |
+//! | `visits` | what rays cost, for [`model`] |
 //! | `probe` | parts of them, for tests |
 //!
 //! Results are the same bit for bit on one adapter with one driver (a lane), whatever the threads and dispatches, and
 //! near the CPU's: sums are integers, and the arithmetic before them is the CPU's to some ULP.
 
 mod adapter;
+mod any_hit;
 mod budget;
 mod device;
 mod error;
+mod flight;
 mod gather;
 mod kernel;
+pub mod model;
+mod node;
 mod probe;
+mod rays;
 mod sampling;
 mod shader;
 mod trace;
 mod tracer;
 mod traverse;
+mod triangle;
+mod upload;
+mod visits;
+mod widen;
 
 pub use adapter::{ADAPTER_VARIABLE, AdapterChoice, AdapterKind, AdapterSummary, adapters};
 pub use device::GpuDevice;
 pub use error::GpuError;
 pub use probe::ProbedRay;
 pub use tracer::GpuTracer;
+pub use visits::Visits;

@@ -2,7 +2,7 @@
 
 use crate::{
     GpuDevice, GpuError,
-    device::Call,
+    flight::Call,
     gather::{LANES, SampleRecord},
     kernel::Kernel,
     sampling::Cones,

@@ -8,19 +8,24 @@ use std::fmt::Write;
 pub(crate) enum Entry {
     Gather,
     Trace,
+    AnyHit,
+    Visits,
     Directions,
     HitValues,
 }
 
 impl Entry {
     #[cfg(test)]
-    pub(crate) const ALL: [Self; 4] = [Self::Gather, Self::Trace, Self::Directions, Self::HitValues];
+    pub(crate) const ALL: [Self; 6] =
+        [Self::Gather, Self::Trace, Self::AnyHit, Self::Visits, Self::Directions, Self::HitValues];
 
     /// The entry point's name.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Gather => "gather",
             Self::Trace => "trace",
+            Self::AnyHit => "any_hit",
+            Self::Visits => "count_visits",
             Self::Directions => "directions",
             Self::HitValues => "hit_values",
         }
@@ -28,18 +33,27 @@ impl Entry {
 
     /// Whether it reads a scene.
     pub(crate) fn is_traced(self) -> bool {
-        matches!(self, Self::Gather | Self::Trace)
+        !matches!(self, Self::Directions | Self::HitValues)
     }
 
-    fn modules(self) -> &'static [&'static str] {
+    fn modules(self, subgroups: bool) -> Vec<&'static str> {
         const SAMPLING: &str = include_str!("sampling.wgsl");
         const KERNEL: &str = include_str!("kernel.wgsl");
-        const TRAVERSE: &str = include_str!("traverse.wgsl");
-        match self {
-            Self::Gather => &[SAMPLING, KERNEL, TRAVERSE, include_str!("gather.wgsl")],
-            Self::Trace => &[TRAVERSE, include_str!("trace.wgsl")],
+        const TRAVERSAL: [&str; 3] =
+            [include_str!("node.wgsl"), include_str!("triangle.wgsl"), include_str!("traverse.wgsl")];
+        const RAYS: &str = include_str!("rays.wgsl");
+        let own: &[&str] = match self {
+            Self::Gather if subgroups => {
+                &[SAMPLING, KERNEL, include_str!("gather.wgsl"), include_str!("reduce_subgroup.wgsl")]
+            }
+            Self::Gather => &[SAMPLING, KERNEL, include_str!("gather.wgsl"), include_str!("reduce.wgsl")],
+            Self::Trace => &[RAYS, include_str!("trace.wgsl")],
+            Self::AnyHit => &[RAYS, include_str!("any_hit.wgsl")],
+            Self::Visits => &[RAYS, include_str!("visits.wgsl")],
             Self::Directions | Self::HitValues => &[SAMPLING, KERNEL, include_str!("probe.wgsl")],
-        }
+        };
+        let traversal = if self.is_traced() { &TRAVERSAL[..] } else { &[] };
+        [traversal, own].concat()
     }
 }
 
@@ -54,21 +68,25 @@ pub(crate) struct SceneShape {
     pub(crate) stack_entries: u32,
 }
 
-/// The whole source of a kernel. `shape` is not looked at by kernels that read no scene.
-pub(crate) fn source(entry: Entry, shape: &SceneShape) -> String {
-    let mut text = if entry.is_traced() { prelude(shape) } else { String::new() };
-    for module in entry.modules() {
+/// The whole source of a kernel. `shape` is not looked at by kernels that read no scene; `subgroups` says whether the
+/// kernel may use them.
+pub(crate) fn source(entry: Entry, shape: &SceneShape, subgroups: bool) -> String {
+    let mut text = if entry.is_traced() { prelude(entry, shape) } else { String::new() };
+    for module in entry.modules(subgroups) {
         text.push_str(module);
         text.push('\n');
     }
     text
 }
 
-/// Declares the scene's bindings, and `geometry`, which makes one array of them.
-fn prelude(shape: &SceneShape) -> String {
+/// Declares the kernel's switches, the scene's bindings, and `geometry`, which makes one array of them.
+fn prelude(entry: Entry, shape: &SceneShape) -> String {
     let mut text = format!(
-        "const STACK_ENTRIES: u32 = {}u;\n@group(1) @binding(0) var<uniform> scene: SceneInfo;\n",
-        shape.stack_entries
+        "const STACK_ENTRIES: u32 = {}u;\nconst ANY_HIT: bool = {};\nconst COUNT_VISITS: bool = {};\n\
+         @group(1) @binding(0) var<uniform> scene: SceneInfo;\n",
+        shape.stack_entries,
+        entry == Entry::AnyHit,
+        entry == Entry::Visits,
     );
     let array = |i: u32| format!("@group(1) @binding({}) var<storage, read> geometry_{i}: array<vec4<u32>>;\n", i + 1);
     text.extend((0..shape.bindings).map(array));
@@ -92,21 +110,29 @@ mod tests {
     use super::*;
     use wgpu::naga;
 
+    fn check(entry: Entry, shape: &SceneShape, subgroups: bool) {
+        use naga::valid::{Capabilities, ShaderStages, SubgroupOperationSet, ValidationFlags, Validator};
+        let text = source(entry, shape, subgroups);
+        let module = naga::front::wgsl::parse_str(&text)
+            .unwrap_or_else(|error| panic!("{}: {}", entry.name(), error.emit_to_string(&text)));
+        let capabilities = if subgroups { Capabilities::SUBGROUP } else { Capabilities::empty() };
+        Validator::new(ValidationFlags::all(), capabilities)
+            .subgroup_stages(ShaderStages::COMPUTE)
+            .subgroup_operations(SubgroupOperationSet::all())
+            .validate(&module)
+            .unwrap_or_else(|error| panic!("{}: {}", entry.name(), error.emit_to_string(&text)));
+        let point = module.entry_points.iter().find(|point| point.name == entry.name()).expect("an entry point");
+        assert_eq!(point.workgroup_size, [crate::gather::LANES, 1, 1]);
+    }
+
     #[test]
     fn every_shader_is_valid() {
-        let shapes = [(1, 31, 16), (2, 23, 96), (8, 27, 192)];
+        let shapes = [(1, 31, 4), (2, 23, 12), (8, 27, 40)];
         for entry in Entry::ALL {
             for (bindings, binding_shift, stack_entries) in shapes {
-                let text = source(entry, &SceneShape { bindings, binding_shift, stack_entries });
-                let module = naga::front::wgsl::parse_str(&text)
-                    .unwrap_or_else(|error| panic!("{}: {}", entry.name(), error.emit_to_string(&text)));
-                let (flags, capabilities) = (naga::valid::ValidationFlags::all(), naga::valid::Capabilities::empty());
-                naga::valid::Validator::new(flags, capabilities)
-                    .validate(&module)
-                    .unwrap_or_else(|error| panic!("{}: {}", entry.name(), error.emit_to_string(&text)));
-                let point =
-                    module.entry_points.iter().find(|point| point.name == entry.name()).expect("an entry point");
-                assert_eq!(point.workgroup_size, [crate::gather::LANES, 1, 1]);
+                for subgroups in [false, true] {
+                    check(entry, &SceneShape { bindings, binding_shift, stack_entries }, subgroups);
+                }
             }
         }
     }

@@ -1,13 +1,14 @@
 //! The GPU as a [`Tracer`].
 
 use crate::{
-    GpuDevice, GpuError,
+    GpuDevice, GpuError, Visits, any_hit,
     budget::Budget,
     device::{CompiledKernel, lock},
     gather::Gather,
     shader::Entry,
     trace,
     traverse::SceneBuffers,
+    visits,
 };
 use kiln_trace::{CosineSums, Hit, KernelRates, MAX_RAYS_PER_SAMPLE, Ray, Scene, SurfaceSample, TraceError, Tracer};
 use std::{
@@ -17,7 +18,8 @@ use std::{
 
 /// Traces on a device, over a scene that was sent there. It does not keep the [`Scene`].
 ///
-/// Calls may come from several threads; their dispatches, some 20 to 50 ms each, take turns.
+/// Calls may come from several threads. Two dispatches of some 20 to 50 ms each are in flight at a time, so that the
+/// device need not wait for the host.
 #[derive(Debug)]
 pub struct GpuTracer {
     gpu: Arc<GpuDevice>,
@@ -55,6 +57,11 @@ impl GpuTracer {
     /// Storage bindings that the scene is spread over.
     pub fn binding_count(&self) -> u32 {
         self.scene.shape.bindings
+    }
+
+    /// Counts what the closest hits of rays cost on this device.
+    pub fn visits(&self, rays: &[Ray]) -> Result<Visits, TraceError> {
+        visits::run(self, rays)
     }
 
     pub(crate) fn scene_group(&self) -> &wgpu::BindGroup {
@@ -101,9 +108,6 @@ impl Tracer for GpuTracer {
 
     fn any_hit(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<(), TraceError> {
         assert_eq!(rays.len(), blocked.len(), "one answer for each ray");
-        let mut hits = vec![Hit::MISS; rays.len()];
-        trace::run(self, rays, &mut hits)?;
-        blocked.iter_mut().zip(&hits).for_each(|(blocked, hit)| *blocked = hit.is_hit());
-        Ok(())
+        any_hit::run(self, rays, blocked)
     }
 }

@@ -1,29 +1,41 @@
-//! The CPU tracer: one ray at a time through both levels, four boxes or triangles at once.
+//! The CPU tracer: bundles of rays on the threads of a pool.
 
 use crate::{
-    Hit, KernelRates, Ray, Scene, SurfaceSample, TraceError, Tracer, cosine_direction,
-    directions::orthonormal_basis,
-    sobol::sobol_point,
-    tracer::CosineSums,
-    traverse::{SlabRay, traverse},
-    triangle::{ShearedRay, TWO_SIDED_BIT, intersect},
+    CosineSums, Hit, KernelRates, Path, Ray, Scene, SurfaceSample, TraceError, Tracer,
+    bundle::BUNDLE,
+    lanes::Portable,
+    levels::Workspace,
+    stream::{self, Gather},
 };
 use rayon::prelude::*;
-use std::sync::Arc;
+use std::{cell::RefCell, slice, sync::Arc};
 
-/// Samples that one task of the thread pool gathers: enough to hide its cost, few enough to share the work.
+/// Rays that one task of the thread pool traces, whole bundles: enough to hide its cost, few enough to share the work.
+const RAYS_PER_TASK: usize = 16 * BUNDLE;
+
+/// Samples that one task of the thread pool gathers.
 const SAMPLES_PER_TASK: usize = 64;
 
-/// Traces on the threads of the current rayon pool. Results do not depend on their number.
+thread_local! {
+    static WORKSPACE: RefCell<Box<Workspace>> = RefCell::new(Workspace::new());
+}
+
+/// Traces on the threads of the current rayon pool. Results depend neither on their number nor on the processor.
 #[derive(Clone, Debug)]
 pub struct CpuTracer {
     scene: Arc<Scene>,
+    path: Path,
 }
 
 impl CpuTracer {
-    /// A tracer over a scene.
+    /// A tracer over a scene, with the fastest instructions that the processor has.
     pub fn new(scene: Arc<Scene>) -> Self {
-        Self { scene }
+        Self::with_path(scene, Path::detect())
+    }
+
+    /// A tracer that uses given instructions, or portable ones where the processor lacks them.
+    pub fn with_path(scene: Arc<Scene>, path: Path) -> Self {
+        Self { scene, path }
     }
 
     /// The scene.
@@ -33,57 +45,41 @@ impl CpuTracer {
 
     /// Closest hit; at equal distances front faces come first, then the lowest instance, then the lowest face.
     pub fn closest_hit(&self, ray: &Ray) -> Hit {
-        let scene = &*self.scene;
-        let mut best = Hit { t: ray.t_max, ..Hit::MISS };
-        traverse(&scene.nodes, &SlabRay::new(ray.origin, ray.direction), ray.t_max, |leaf, _| {
-            let instance = &scene.instances[leaf as usize];
-            let mesh = &scene.meshes[instance.mesh as usize];
-            let (origin, direction) = (instance.point(ray.origin), instance.direction(ray.direction));
-            let sheared = ShearedRay::new(origin, direction);
-            traverse(&mesh.nodes, &SlabRay::new(origin, direction), best.t, |block, _| {
-                let block = &mesh.blocks[block as usize];
-                let (t, front, mut mask) = intersect(block, &sheared);
-                while mask != 0 {
-                    let lane = mask.trailing_zeros() as usize;
-                    mask &= mask - 1;
-                    let primitive = block.primitives[lane];
-                    let back_face = front & (1 << lane) == 0 && primitive & TWO_SIDED_BIT == 0;
-                    let hit = Hit { t: t[lane], instance: leaf, primitive: primitive & !TWO_SIDED_BIT, back_face };
-                    if precedes(&hit, &best) {
-                        best = hit;
-                    }
-                }
-                best.t
-            });
-            best.t
-        });
-        if best.instance == u32::MAX { Hit::MISS } else { best }
+        let mut hit = Hit::MISS;
+        WORKSPACE
+            .with_borrow_mut(|workspace| self.trace_run(slice::from_ref(ray), slice::from_mut(&mut hit), workspace));
+        hit
     }
 
-    fn gather_one(&self, sample: &SurfaceSample, kernel: &KernelRates, rays_per_sample: u32) -> CosineSums {
-        let mut sums = CosineSums::default();
-        let basis = orthonormal_basis(sample.normal);
-        for i in 0..rays_per_sample {
-            let point = sobol_point(sample.first_index.wrapping_add(i), sample.scramble);
-            let direction = cosine_direction(point, sample.normal, basis);
-            if direction.dot(sample.geometric) <= 0.0 {
-                continue;
-            }
-            sums.rays += 1;
-            let hit = self.closest_hit(&Ray { origin: sample.origin, direction, t_max: kernel.t_max });
-            for channel in 0..kernel.channels {
-                sums.values[channel] += if hit.is_hit() { kernel.hit_value(channel, hit.t) } else { crate::ONE };
-            }
-            sums.back_faces += u32::from(hit.back_face);
+    fn trace_run(&self, rays: &[Ray], hits: &mut [Hit], workspace: &mut Workspace) {
+        #[cfg(target_arch = "x86_64")]
+        if self.path == Path::Avx2 && crate::avx2::trace(&self.scene, rays, hits, workspace) {
+            return;
         }
-        sums
+        stream::trace::<Portable, _>(&self.scene, rays, hits, workspace);
     }
-}
 
-/// The tie rule.
-fn precedes(hit: &Hit, best: &Hit) -> bool {
-    let key = |h: &Hit| (h.back_face, h.instance, h.primitive);
-    hit.t < best.t || (hit.t == best.t && key(hit) < key(best))
+    fn any_hit_run(&self, rays: &[Ray], blocked: &mut [bool], workspace: &mut Workspace) {
+        #[cfg(target_arch = "x86_64")]
+        if self.path == Path::Avx2 && crate::avx2::any_hit(&self.scene, rays, blocked, workspace) {
+            return;
+        }
+        stream::trace::<Portable, _>(&self.scene, rays, blocked, workspace);
+    }
+
+    fn gather_run(
+        &self,
+        gather: &Gather<'_>,
+        samples: &[SurfaceSample],
+        sums: &mut [CosineSums],
+        workspace: &mut Workspace,
+    ) {
+        #[cfg(target_arch = "x86_64")]
+        if self.path == Path::Avx2 && crate::avx2::gather(gather, samples, sums, workspace) {
+            return;
+        }
+        gather.run::<Portable>(samples, sums, workspace);
+    }
 }
 
 impl Tracer for CpuTracer {
@@ -94,22 +90,25 @@ impl Tracer for CpuTracer {
         rays_per_sample: u32,
         sums: &mut [CosineSums],
     ) -> Result<(), TraceError> {
+        let gather = Gather { scene: &self.scene, kernel, rays_per_sample };
         let chunks = samples.par_chunks(SAMPLES_PER_TASK).zip(sums.par_chunks_mut(SAMPLES_PER_TASK));
         chunks.for_each(|(samples, sums)| {
-            for (sample, sum) in samples.iter().zip(sums) {
-                *sum = self.gather_one(sample, kernel, rays_per_sample);
-            }
+            WORKSPACE.with_borrow_mut(|workspace| self.gather_run(&gather, samples, sums, workspace));
         });
         Ok(())
     }
 
     fn trace(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<(), TraceError> {
-        rays.par_iter().zip(hits).for_each(|(ray, hit)| *hit = self.closest_hit(ray));
+        let chunks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
+        chunks.for_each(|(rays, hits)| WORKSPACE.with_borrow_mut(|workspace| self.trace_run(rays, hits, workspace)));
         Ok(())
     }
 
     fn any_hit(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<(), TraceError> {
-        rays.par_iter().zip(blocked).for_each(|(ray, blocked)| *blocked = self.closest_hit(ray).is_hit());
+        let chunks = rays.par_chunks(RAYS_PER_TASK).zip(blocked.par_chunks_mut(RAYS_PER_TASK));
+        chunks.for_each(|(rays, blocked)| {
+            WORKSPACE.with_borrow_mut(|workspace| self.any_hit_run(rays, blocked, workspace));
+        });
         Ok(())
     }
 }

@@ -4,9 +4,11 @@
 //! from one vector). Sine and cosine are our own polynomials, since GPU and platform versions differ;
 //! `kiln-gpu` has the same functions in WGSL (`sampling.wgsl`): keep them in sync. Both agree to 4 ULP.
 
+use crate::{SobolScramble, sobol_point};
 use glam::Vec3;
 
 /// Sine and cosine for |x| ≤ π/4: Taylor polynomials, absolute error below 4e-8 before rounding.
+#[inline(always)]
 fn sin_cos_quarter(x: f32) -> (f32, f32) {
     let s = x * x;
     let sine = x * (1.0 + s * (-1.0 / 6.0 + s * (1.0 / 120.0 + s * (-1.0 / 5040.0))));
@@ -15,18 +17,18 @@ fn sin_cos_quarter(x: f32) -> (f32, f32) {
 }
 
 /// A direction about +z with density cos θ / π, from a point of the unit square: area-preserving and continuous.
+/// Without branches, so that eight points become the lanes of a vector.
+#[inline(always)]
 fn cosine_about_z([u, v]: [f32; 2]) -> Vec3 {
     let (a, b) = (2.0 * u - 1.0, 2.0 * v - 1.0);
-    let (x, y, r) = if a.abs() > b.abs() {
-        let (sine, cosine) = sin_cos_quarter(std::f32::consts::FRAC_PI_4 * (b / a));
-        (a * cosine, a * sine, a)
-    } else if b == 0.0 {
-        (0.0, 0.0, 0.0)
-    } else {
-        let (sine, cosine) = sin_cos_quarter(std::f32::consts::FRAC_PI_4 * (a / b));
-        (b * sine, b * cosine, b)
-    };
-    Vec3::new(x, y, (1.0 - r * r).max(0.0).sqrt())
+    let is_wide = a.abs() > b.abs();
+    let r = if is_wide { a } else { b };
+    let ratio = if is_wide { b } else { a } / r;
+    // Only the center of the square has 0 / 0.
+    let (sine, cosine) = sin_cos_quarter(if r == 0.0 { 0.0 } else { std::f32::consts::FRAC_PI_4 * ratio });
+    let (x, y) = if is_wide { (r * cosine, r * sine) } else { (r * sine, r * cosine) };
+    let height = 1.0 - r * r;
+    Vec3::new(x, y, if height > 0.0 { height } else { 0.0 }.sqrt())
 }
 
 /// Two unit vectors that make an orthonormal basis with the unit vector `n` (Duff et al. 2017).
@@ -38,9 +40,25 @@ pub fn orthonormal_basis(n: Vec3) -> (Vec3, Vec3) {
 }
 
 /// A unit direction about the normal with density cos θ / π. `basis` is [`orthonormal_basis`] of the normal.
+#[inline(always)]
 pub fn cosine_direction(point: [f32; 2], normal: Vec3, basis: (Vec3, Vec3)) -> Vec3 {
     let local = cosine_about_z(point);
     basis.0 * local.x + basis.1 * local.y + normal * local.z
+}
+
+/// [`cosine_direction`] of eight points of a scrambled sequence from `first` on.
+#[inline(always)]
+pub(crate) fn cosine_directions(first: u32, scramble: SobolScramble, normal: Vec3, basis: (Vec3, Vec3)) -> [Vec3; 8] {
+    let (mut x, mut y, mut z) = ([0.0; 8], [0.0; 8], [0.0; 8]);
+    for lane in 0..8 {
+        let direction = cosine_direction(sobol_point(first.wrapping_add(lane as u32), scramble), normal, basis);
+        (x[lane], y[lane], z[lane]) = (direction.x, direction.y, direction.z);
+    }
+    let mut directions = [Vec3::ZERO; 8];
+    for lane in 0..8 {
+        directions[lane] = Vec3::new(x[lane], y[lane], z[lane]);
+    }
+    directions
 }
 
 #[cfg(test)]

@@ -47,6 +47,7 @@ impl KernelRates {
     }
 
     /// Fixed-point value of a hit at distance `t` in a channel.
+    #[inline(always)]
     pub fn hit_value(&self, channel: usize, t: f32) -> u32 {
         if self.is_occlusion { 0 } else { fixed_obscurance(t * self.per_half_distance[channel]) }
     }
@@ -54,6 +55,7 @@ impl KernelRates {
 
 /// `round(65536 (1 − 2^−x))` for x ≥ 0; absolute error before rounding below 3e-7.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the value is in [0, 65536]")]
+#[inline(always)]
 fn fixed_obscurance(x: f32) -> u32 {
     if x >= 24.0 {
         return ONE;

@@ -1,23 +1,25 @@
 //! The BVH of one mesh: what of it stops rays, in object space.
 
 use crate::{
-    bvh::{self, BvhChild, BvhLink, BvhNode, LEAF_BIT},
-    triangle::{NO_PRIMITIVE, TWO_SIDED_BIT, TriangleBlock},
+    BvhChild,
+    build::build,
+    node::{BvhLink, MAX_LEAF, WideNode},
+    triangle::{TWO_SIDED_BIT, TriangleRuns},
 };
 use glam::{DVec3, Vec3, Vec3A};
 use kiln_core::{Bounds, Mesh};
 use obvhs::aabb::Aabb;
 
-/// A mesh's occluding faces in a BVH whose leaves are [`TriangleBlock`]s.
+/// A mesh's occluding faces in a BVH whose leaves are triangles that are tested side by side.
 ///
 /// Two coincident faces of opposite winding become one that is front from either side, which is what the tie rule
 /// (front face first) gives, and leaves it to no rounding. Coincident faces of the same winding become the first.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct MeshBvh {
     /// Nodes; the root is the first. Empty where nothing occludes.
-    pub nodes: Vec<BvhNode>,
-    /// Leaves.
-    pub blocks: Vec<TriangleBlock>,
+    pub(crate) nodes: Vec<WideNode>,
+    /// What the leaves name.
+    pub(crate) triangles: TriangleRuns,
     /// Bounds of all occluding faces, object space.
     pub bounds: Bounds,
 }
@@ -38,41 +40,39 @@ impl MeshBvh {
             bounds.add(Vec3::from(aabb.min).as_dvec3());
             bounds.add(Vec3::from(aabb.max).as_dvec3());
         }
-        let tree = bvh::build(&boxes, 4);
-        let block = |leaf: &Vec<u32>| {
-            let mut block = TriangleBlock::EMPTY;
-            for (lane, &i) in leaf.iter().enumerate() {
-                let occluder = &occluders[i as usize];
-                block.set(lane, occluder.corners, occluder.primitive);
+        let tree = build(&boxes, MAX_LEAF);
+        let mut triangles = TriangleRuns::with_count(boxes.len());
+        for child in tree.nodes.iter().flat_map(WideNode::slots) {
+            if let BvhLink::Leaf { first, count } = child.link {
+                let mut leaf = [([Vec3::ZERO; 3], 0); MAX_LEAF];
+                for (slot, &index) in leaf.iter_mut().zip(&tree.order[first as usize..(first + count) as usize]) {
+                    let occluder = &occluders[index as usize];
+                    *slot = (occluder.corners, occluder.primitive);
+                }
+                triangles.set_leaf(first, &leaf[..count as usize]);
             }
-            block
-        };
-        Self { nodes: tree.nodes, blocks: tree.leaves.iter().map(block).collect(), bounds }
+        }
+        Self { nodes: tree.nodes, triangles, bounds }
     }
 
-    /// The children of a node. There is none without faces; else the root is node 0.
+    /// Whether nothing in it stops a ray.
+    pub fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// The children of a node. There is no node in an empty mesh; else the root is node 0.
     pub fn children(&self, node: u32) -> impl Iterator<Item = BvhChild> {
-        self.nodes[node as usize].slots().map(|(min, max, child)| {
-            let link = if child & LEAF_BIT == 0 {
-                BvhLink::Node(child)
-            } else {
-                let block = child & !LEAF_BIT;
-                let used = self.blocks[block as usize].primitives.iter().filter(|&&id| id != NO_PRIMITIVE);
-                BvhLink::Leaf { first: 4 * block, count: used.count() as u32 }
-            };
-            BvhChild { min, max, link }
-        })
+        self.nodes[node as usize].slots()
     }
 
     /// Corners of a triangle that a leaf names, object space, and its face index with [`TWO_SIDED_BIT`].
     pub fn triangle(&self, index: u32) -> ([Vec3; 3], u32) {
-        let (block, lane) = (&self.blocks[index as usize / 4], index as usize % 4);
-        ([0, 1, 2].map(|corner| block.corner(corner, lane)), block.primitives[lane])
+        self.triangles.triangle(index)
     }
 
     /// Memory of nodes and triangles, bytes.
     pub fn memory_bytes(&self) -> usize {
-        size_of_val(self.nodes.as_slice()) + size_of_val(self.blocks.as_slice())
+        size_of_val(self.nodes.as_slice()) + self.triangles.memory_bytes()
     }
 
     /// Greatest absolute coordinate of each axis.

@@ -1,19 +1,19 @@
 //! Finds samples that need no ray: nothing lies above their surface within reach, so that AO is 1.
 
 use crate::{
-    CosineSums, ONE, Scene, SurfaceSample,
-    bvh::{BvhNode, LEAF_BIT, MAX_STACK, NO_CHILD},
-    cosine_direction, orthonormal_basis,
+    CosineSums, ONE, Scene, SurfaceSample, cosine_direction,
+    node::{BvhLink, MAX_STACK, WideNode},
+    orthonormal_basis,
     scene::linear,
     sobol_point,
 };
-use glam::{Vec3, Vec4};
+use glam::Vec3;
 
 /// Whether no occluding triangle within `reach` (metres, a box's distance) has a corner above the plane through
 /// `origin` with unit normal `normal`. A ray above the plane then hits nothing.
 pub fn is_open_above(scene: &Scene, origin: Vec3, normal: Vec3, reach: f32) -> bool {
     let plane = HalfSpace { normal, offset: normal.dot(origin), near: Some((origin, reach)) };
-    !any_above(&scene.nodes, &plane, |index| {
+    !any_above(&scene.nodes, &plane, |index, _| {
         let instance = &scene.instances[index as usize];
         let mesh = &scene.meshes[instance.mesh as usize];
         // n·x > c in the world is (W⁻ᵀ n)·y > c' for y = W x + w: found from y itself, W being object_from_world.
@@ -21,10 +21,11 @@ pub fn is_open_above(scene: &Scene, origin: Vec3, normal: Vec3, reach: f32) -> b
         let normal = world_from_object.transpose() * plane.normal;
         let offset = normal.dot(instance.point(origin));
         let inner = HalfSpace { normal, offset, near: None };
-        any_above(&mesh.nodes, &inner, |block| {
-            let block = &mesh.blocks[block as usize];
-            let used = block.primitives.iter().filter(|&&id| id != crate::NO_PRIMITIVE).count();
-            (0..used).any(|lane| (0..3).any(|corner| inner.normal.dot(block.corner(corner, lane)) > inner.offset))
+        any_above(&mesh.nodes, &inner, |first, count| {
+            (first..first + count).any(|index| {
+                let (corners, _) = mesh.triangle(index);
+                corners.iter().any(|corner| inner.normal.dot(*corner) > inner.offset)
+            })
         })
     })
 }
@@ -52,43 +53,45 @@ struct HalfSpace {
 
 impl HalfSpace {
     /// Lanes whose box has a point above the plane, and within reach.
-    fn reaches(&self, node: &BvhNode) -> u32 {
-        let mut height = Vec4::splat(-self.offset);
+    fn reaches(&self, node: &WideNode) -> u32 {
+        let (mut height, mut squared) = ([-self.offset; 8], [0.0; 8]);
         for axis in 0..3 {
-            let n = Vec4::splat(self.normal[axis]);
-            height += (node.bounds[axis] * n).max(node.bounds[axis + 3] * n);
-        }
-        let mut mask = height.cmpgt(Vec4::ZERO);
-        if let Some((point, reach)) = self.near {
-            let mut squared = Vec4::ZERO;
-            for axis in 0..3 {
-                let p = Vec4::splat(point[axis]);
-                let gap = (node.bounds[axis] - p).max(p - node.bounds[axis + 3]).max(Vec4::ZERO);
-                squared += gap * gap;
+            let (n, low, high) = (self.normal[axis], &node.bounds[axis], &node.bounds[axis + 3]);
+            for lane in 0..8 {
+                height[lane] += (low[lane] * n).max(high[lane] * n);
             }
-            mask &= squared.cmple(Vec4::splat(reach) * reach);
         }
-        mask.bitmask()
+        let mut reach = f32::INFINITY;
+        if let Some((point, distance)) = self.near {
+            reach = distance;
+            for axis in 0..3 {
+                let (p, low, high) = (point[axis], &node.bounds[axis], &node.bounds[axis + 3]);
+                for lane in 0..8 {
+                    let gap = (low[lane] - p).max(p - high[lane]).max(0.0);
+                    squared[lane] += gap * gap;
+                }
+            }
+        }
+        let is_reached = |lane: &usize| height[*lane] > 0.0 && squared[*lane] <= reach * reach;
+        (0..8).filter(is_reached).fold(0, |mask, lane| mask | 1 << lane)
     }
 }
 
-fn any_above(nodes: &[BvhNode], plane: &HalfSpace, mut leaf: impl FnMut(u32) -> bool) -> bool {
+fn any_above(nodes: &[WideNode], plane: &HalfSpace, mut leaf: impl FnMut(u32, u32) -> bool) -> bool {
     let mut stack = [0u32; MAX_STACK];
     let mut depth = usize::from(!nodes.is_empty());
     while depth > 0 {
         depth -= 1;
         let node = &nodes[stack[depth] as usize];
         let mask = plane.reaches(node);
-        for lane in (0..4).filter(|lane| mask & (1 << lane) != 0) {
-            let child = node.children[lane];
-            if child == NO_CHILD {
-                continue;
-            }
-            if child & LEAF_BIT == 0 {
-                stack[depth] = child;
-                depth += 1;
-            } else if leaf(child & !LEAF_BIT) {
-                return true;
+        for slot in (0..8).filter(|slot| mask & (1 << slot) != 0 && node.children[*slot] != u32::MAX) {
+            match BvhLink::of_reference(node.children[slot]) {
+                BvhLink::Node(child) => {
+                    stack[depth] = child;
+                    depth += 1;
+                }
+                BvhLink::Leaf { first, count } if leaf(first, count) => return true,
+                BvhLink::Leaf { .. } => {}
             }
         }
     }

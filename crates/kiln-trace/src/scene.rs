@@ -1,8 +1,10 @@
 //! Instances in two levels: what tracers trace.
 
 use crate::{
-    MeshBvh,
-    bvh::{self, BvhChild, BvhLink, BvhNode},
+    BvhChild, MeshBvh,
+    build::build,
+    node::{BvhLink, WideNode},
+    ray::TracedRay,
 };
 use glam::{DAffine3, DVec3, Mat3, Vec3, Vec3A};
 use obvhs::aabb::Aabb;
@@ -29,19 +31,31 @@ pub struct SceneInstance {
     pub mesh: u32,
     /// Rows of the inverse transform.
     pub object_from_world: [[f32; 4]; 3],
+    /// The transform moves nothing.
+    pub(crate) is_identity: bool,
 }
 
 impl SceneInstance {
+    /// A world-space ray in object space.
+    #[inline(always)]
+    pub(crate) fn ray(&self, origin: Vec3, direction: Vec3) -> TracedRay {
+        TracedRay::new(self.point(origin), self.direction(direction))
+    }
+
     /// A world-space point in object space.
+    #[inline(always)]
     pub(crate) fn point(&self, p: Vec3) -> Vec3 {
-        let [x, y, z] = self.object_from_world.map(|r| r[0] * p.x + r[1] * p.y + r[2] * p.z + r[3]);
-        Vec3::new(x, y, z)
+        let [x, y, z] = self.object_from_world;
+        let row = [x[0] * p.x + x[1] * p.y + x[2] * p.z + x[3], y[0] * p.x + y[1] * p.y + y[2] * p.z + y[3]];
+        Vec3::new(row[0], row[1], z[0] * p.x + z[1] * p.y + z[2] * p.z + z[3])
     }
 
     /// A world-space direction in object space; its length is kept by the ray's parameter, not by the vector.
+    #[inline(always)]
     pub(crate) fn direction(&self, d: Vec3) -> Vec3 {
-        let [x, y, z] = self.object_from_world.map(|r| r[0] * d.x + r[1] * d.y + r[2] * d.z);
-        Vec3::new(x, y, z)
+        let [x, y, z] = self.object_from_world;
+        let row = [x[0] * d.x + x[1] * d.y + x[2] * d.z, y[0] * d.x + y[1] * d.y + y[2] * d.z];
+        Vec3::new(row[0], row[1], z[0] * d.x + z[1] * d.y + z[2] * d.z)
     }
 }
 
@@ -53,7 +67,7 @@ pub struct Scene {
     /// All instances, by the indices that hits name. Flat ones are here but not in the tree.
     pub instances: Vec<SceneInstance>,
     /// Tree over the instances; a leaf's index is an instance's.
-    pub nodes: Vec<BvhNode>,
+    pub(crate) nodes: Vec<WideNode>,
 }
 
 impl Scene {
@@ -67,24 +81,27 @@ impl Scene {
                 indices.push(index as u32);
             }
         }
-        let tree = bvh::build(&boxes, 1);
+        // A leaf is one instance, which has a tree of its own to go down.
+        let tree = build(&boxes, 1);
         let mut nodes = tree.nodes;
-        for child in nodes.iter_mut().flat_map(|node| &mut node.children) {
-            if *child != bvh::NO_CHILD && *child & bvh::LEAF_BIT != 0 {
-                let leaf = &tree.leaves[(*child & !bvh::LEAF_BIT) as usize];
-                *child = indices[leaf[0] as usize] | bvh::LEAF_BIT;
+        for reference in nodes.iter_mut().flat_map(|node| &mut node.children).filter(|child| **child != u32::MAX) {
+            if let BvhLink::Leaf { first, count } = BvhLink::of_reference(*reference) {
+                let first = indices[tree.order[first as usize] as usize];
+                *reference = BvhLink::Leaf { first, count }.to_reference();
             }
         }
         Self { meshes, instances, nodes }
     }
 
-    /// The children of a node of the tree over the instances. There is none without instances; else the root is node 0.
+    /// Whether nothing in it stops a ray.
+    pub fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// The children of a node of the tree over the instances; a leaf is one instance. There is no node in an empty scene;
+    /// else the root is node 0.
     pub fn children(&self, node: u32) -> impl Iterator<Item = BvhChild> {
-        self.nodes[node as usize].slots().map(|(min, max, child)| {
-            let is_node = child & bvh::LEAF_BIT == 0;
-            let leaf = BvhLink::Leaf { first: child & !bvh::LEAF_BIT, count: 1 };
-            BvhChild { min, max, link: if is_node { BvhLink::Node(child) } else { leaf } }
-        })
+        self.nodes[node as usize].slots()
     }
 
     /// Memory of all nodes, triangles and instances, bytes.
@@ -131,7 +148,9 @@ fn instance(object: &SceneObject) -> SceneInstance {
     let inverse = object.world_from_object.inverse();
     let (m, t) = (inverse.matrix3, inverse.translation);
     let row = |i: usize| [m.x_axis[i] as f32, m.y_axis[i] as f32, m.z_axis[i] as f32, t[i] as f32];
-    SceneInstance { mesh: object.mesh as u32, object_from_world: [row(0), row(1), row(2)] }
+    let object_from_world = [row(0), row(1), row(2)];
+    let is_identity = object_from_world == [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
+    SceneInstance { mesh: object.mesh as u32, object_from_world, is_identity }
 }
 
 /// World-space box, grown by the rounding error of rays on their way into object space. `None` for an instance that

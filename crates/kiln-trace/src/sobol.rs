@@ -9,11 +9,13 @@
 pub struct SobolScramble(pub [u32; 2]);
 
 /// Nested uniform scramble of a 32-bit fixed-point number in [0, 1).
+#[inline(always)]
 pub fn owen_scramble(x: u32, seed: u32) -> u32 {
     laine_karras(x.reverse_bits(), seed).reverse_bits()
 }
 
 /// A permutation in which every output bit depends only on input bits at or below it.
+#[inline(always)]
 fn laine_karras(mut x: u32, seed: u32) -> u32 {
     x ^= x.wrapping_mul(0x3d20_adea);
     x = x.wrapping_add(seed);
@@ -25,6 +27,7 @@ fn laine_karras(mut x: u32, seed: u32) -> u32 {
 /// The reversed bits of the second dimension of the Sobol sequence (those of the first are the index itself). Its
 /// generator matrix is Pascal's triangle modulo 2, which takes the polynomial p(X) over GF(2), its coefficients the bits
 /// of the index, to p(X + 1): five halvings.
+#[inline(always)]
 fn sobol_second_reversed(index: u32) -> u32 {
     let mut x = index;
     x ^= x >> 16;
@@ -36,6 +39,7 @@ fn sobol_second_reversed(index: u32) -> u32 {
 
 /// The coordinates of a point of the sequence before it is scrambled, 32-bit fixed-point numbers in [0, 1): linear in
 /// the bits of the index over GF(2).
+#[inline(always)]
 pub fn sobol_digits(index: u32) -> [u32; 2] {
     [index, sobol_second_reversed(index)].map(u32::reverse_bits)
 }
@@ -43,6 +47,7 @@ pub fn sobol_digits(index: u32) -> [u32; 2] {
 /// Point `index` of the scrambled sequence, each coordinate a multiple of 2⁻²⁴ in [0, 1). Any run of 2ᵏ points that
 /// starts at a multiple of 2ᵏ is a (0, k, 2)-net.
 #[expect(clippy::cast_precision_loss, reason = "24 bits fit")]
+#[inline(always)]
 pub fn sobol_point(index: u32, scramble: SobolScramble) -> [f32; 2] {
     let [x, y] = sobol_digits(index);
     [owen_scramble(x, scramble.0[0]), owen_scramble(y, scramble.0[1])]

@@ -1,110 +1,170 @@
-//! Watertight intersection of a ray with four triangles at once.
+//! Watertight intersection of a ray with up to eight triangles at once.
 //!
 //! Source: Woop, Benthin and Wald 2013, "Watertight ray/triangle intersection". The edge functions of a shared edge
 //! are exact negatives of each other (no fused multiply-add is used), so that no ray slips through; a ray on an edge
 //! (a function of exactly 0) hits both faces, so that their double-precision fall-back is not needed. The same
-//! arithmetic in the same order is in `traverse.wgsl` of `kiln-gpu`: keep them in sync.
+//! arithmetic in the same order is in `triangle.wgsl` of `kiln-gpu`: keep them in sync.
 
-use bytemuck::{Pod, Zeroable};
-use glam::{Vec3, Vec4};
+use crate::{lanes::Lanes, node::MAX_LEAF, ray::TracedRay};
+use glam::Vec3;
 
 /// Set in a primitive id whose face counts as front from either side.
 pub const TWO_SIDED_BIT: u32 = 1 << 31;
 
-/// Id of an unused lane.
-pub const NO_PRIMITIVE: u32 = u32::MAX;
+/// Words of a triangle: nine coordinates and its id.
+const WORDS: usize = 10;
 
-/// Up to four triangles, one in each lane; unused lanes are degenerate and are never hit.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-pub struct TriangleBlock {
-    /// Coordinates by corner, then axis.
-    pub corners: [[Vec4; 3]; 3],
-    /// Face index in the mesh, with [`TWO_SIDED_BIT`], or [`NO_PRIMITIVE`].
-    pub primitives: [u32; 4],
+/// Words after the last triangle, so that eight lanes can be read of any row.
+const SLACK: usize = 8;
+
+/// The triangles of a mesh in the order of its tree's leaves.
+///
+/// The triangles of a leaf, n in number, are ten rows of n words: x, y, z of the first corners, of the second and of the
+/// third, then the ids. Eight lanes are read of each row, whose last ones belong to what follows and do not count:
+/// so no word is wasted on lanes that are not used.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct TriangleRuns {
+    words: Vec<f32>,
+    /// Bit i: triangle i is the first of a leaf. One bit more, set, ends the last leaf.
+    begins: Vec<u64>,
+    count: usize,
 }
 
-const _: () = assert!(size_of::<TriangleBlock>() == 160);
+impl TriangleRuns {
+    /// Room for so many triangles.
+    pub(crate) fn with_count(count: usize) -> Self {
+        let mut begins = vec![0; count / 64 + 1];
+        begins[count / 64] = 1 << (count % 64);
+        Self { words: vec![0.0; WORDS * count + SLACK], begins, count }
+    }
 
-impl TriangleBlock {
-    pub(crate) const EMPTY: Self = Self { corners: [[Vec4::ZERO; 3]; 3], primitives: [NO_PRIMITIVE; 4] };
-
-    pub(crate) fn set(&mut self, lane: usize, corners: [Vec3; 3], primitive: u32) {
-        for (slots, corner) in self.corners.iter_mut().zip(corners) {
-            for axis in 0..3 {
-                slots[axis][lane] = corner[axis];
+    /// Writes a leaf: the triangles from `first`, as corners and id.
+    pub(crate) fn set_leaf(&mut self, first: u32, triangles: &[([Vec3; 3], u32)]) {
+        let (first, n) = (first as usize, triangles.len());
+        self.begins[first / 64] |= 1 << (first % 64);
+        let rows = &mut self.words[WORDS * first..WORDS * (first + n)];
+        for (lane, (corners, id)) in triangles.iter().enumerate() {
+            let coordinates = corners.iter().flat_map(Vec3::to_array);
+            for (row, word) in coordinates.chain([f32::from_bits(*id)]).enumerate() {
+                rows[row * n + lane] = word;
             }
         }
-        self.primitives[lane] = primitive;
     }
 
-    pub(crate) fn corner(&self, corner: usize, lane: usize) -> Vec3 {
-        Vec3::from_array(std::array::from_fn(|axis| self.corners[corner][axis][lane]))
+    /// First triangle and number of triangles of the leaf that a triangle is in.
+    fn leaf_of(&self, index: u32) -> (u32, u32) {
+        let is_first = |i: u32| self.begins[i as usize / 64] >> (i % 64) & 1 == 1;
+        let first = (0..=index).rev().find(|&i| is_first(i)).unwrap_or(0);
+        let end = (index + 1..).find(|&i| is_first(i)).unwrap_or(index + 1);
+        (first, end - first)
     }
-}
 
-/// A ray in the form that triangles are tested with: the axes turned so that z is the direction's longest, and
-/// sheared so that it is the direction.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct ShearedRay {
-    axes: [usize; 3],
-    shear: [f32; 3],
-    origin: [f32; 3],
-}
+    /// Corners and id of a triangle.
+    pub(crate) fn triangle(&self, index: u32) -> ([Vec3; 3], u32) {
+        let (first, n) = self.leaf_of(index);
+        let lane = (index - first) as usize;
+        let word = |row: usize| self.words[WORDS * first as usize + row * n as usize + lane];
+        let corner = |c: usize| Vec3::new(word(3 * c), word(3 * c + 1), word(3 * c + 2));
+        ([corner(0), corner(1), corner(2)], word(9).to_bits())
+    }
 
-impl ShearedRay {
-    pub(crate) fn new(origin: Vec3, direction: Vec3) -> Self {
-        let size = direction.abs();
-        let z = if size.x > size.y && size.x > size.z {
-            0
-        } else if size.y > size.z {
-            1
-        } else {
-            2
-        };
-        let (mut x, mut y) = ((z + 1) % 3, (z + 2) % 3);
-        // A negative z mirrors; turning the axes back keeps the winding.
-        if direction[z] < 0.0 {
-            std::mem::swap(&mut x, &mut y);
+    /// Asks for the first lines of a leaf.
+    #[inline(always)]
+    pub(crate) fn prefetch<V: Lanes>(&self, first: u32) {
+        let at = WORDS * first as usize;
+        V::prefetch(self.words.get(at..at + 48).unwrap_or_default());
+    }
+
+    /// Id of a lane of a leaf.
+    #[inline(always)]
+    pub(crate) fn id(&self, first: u32, count: u32, lane: u32) -> u32 {
+        self.words[WORDS * first as usize + 9 * count as usize + lane as usize].to_bits()
+    }
+
+    /// Size in memory, bytes.
+    pub(crate) fn memory_bytes(&self) -> usize {
+        size_of_val(self.words.as_slice()) + size_of_val(self.begins.as_slice())
+    }
+
+    /// Eight words from `at` on.
+    #[inline(always)]
+    fn row(&self, at: usize) -> &[f32; 8] {
+        self.words[at..].first_chunk().expect("eight words follow every row")
+    }
+
+    /// Hits of a ray with the triangles of a leaf at `0 < t ≤ t_max`.
+    #[inline(always)]
+    pub(crate) fn intersect<V: Lanes>(&self, first: u32, count: u32, ray: &TracedRay, t_max: f32) -> LeafHits {
+        let n = count as usize;
+        debug_assert!(n <= MAX_LEAF);
+        let rows = WORDS * first as usize;
+        let a = self.relative::<V>(rows, n, ray);
+        let b = self.relative::<V>(rows + 3 * n, n, ray);
+        let c = self.relative::<V>(rows + 6 * n, n, ray);
+        let u = edge(c, b);
+        let v = edge(a, c);
+        let w = edge(b, a);
+        let zero = V::splat(0.0);
+        let least = u.min(v).min(w);
+        let greatest = u.max(v).max(w);
+        let inside = V::or(zero.le(least), greatest.le(zero));
+        let lanes = (1 << n) - 1;
+        if V::bits(inside) & lanes == 0 {
+            return LeafHits { mask: 0, front: 0, t: [0.0; 8] };
         }
-        let shear = [direction[x] / direction[z], direction[y] / direction[z], 1.0 / direction[z]];
-        Self { axes: [x, y, z], shear, origin: [origin[x], origin[y], origin[z]] }
+        let determinant = u.add(v).add(w);
+        let scale = V::splat(ray.shear[2]);
+        let along = u.mul(a[2].mul(scale)).add(v.mul(b[2].mul(scale))).add(w.mul(c[2].mul(scale)));
+        let distance = along.div(determinant);
+        let is_ahead = V::and(zero.lt(distance), distance.le(V::splat(t_max)));
+        let hit = V::and(V::and(inside, determinant.ne(zero)), is_ahead);
+        let mut t = [0.0; 8];
+        distance.store(&mut t);
+        LeafHits { mask: V::bits(hit) & lanes, front: V::bits(zero.lt(determinant)), t }
     }
 
-    /// Coordinates of a corner relative to the ray: x and y across it, z along it in units of the direction.
-    fn relative(&self, corner: &[Vec4; 3]) -> [Vec4; 3] {
-        let [x, y, z] = [0, 1, 2].map(|i| corner[self.axes[i]] - self.origin[i]);
-        [x - z * self.shear[0], y - z * self.shear[1], z * self.shear[2]]
+    /// Coordinates of corners relative to the ray: x and y across it, and z along its longest axis.
+    #[inline(always)]
+    fn relative<V: Lanes>(&self, rows: usize, n: usize, ray: &TracedRay) -> [V; 3] {
+        let [kx, ky, kz] = ray.axes;
+        let x = V::load(self.row(rows + kx as usize * n)).sub(V::splat(ray.turned_origin[0]));
+        let y = V::load(self.row(rows + ky as usize * n)).sub(V::splat(ray.turned_origin[1]));
+        let z = V::load(self.row(rows + kz as usize * n)).sub(V::splat(ray.turned_origin[2]));
+        [x.sub(z.mul(V::splat(ray.shear[0]))), y.sub(z.mul(V::splat(ray.shear[1]))), z]
     }
 }
 
-/// Distances of the hits (anything where the mask is clear), whether each lane is seen from the front, and the mask
-/// of lanes that are hit at `0 < t`.
-pub(crate) fn intersect(block: &TriangleBlock, ray: &ShearedRay) -> (Vec4, u32, u32) {
-    let [a, b, c] = [0, 1, 2].map(|corner| ray.relative(&block.corners[corner]));
-    let u = c[0] * b[1] - c[1] * b[0];
-    let v = a[0] * c[1] - a[1] * c[0];
-    let w = b[0] * a[1] - b[1] * a[0];
-    let least = u.min(v).min(w);
-    let greatest = u.max(v).max(w);
-    let determinant = u + v + w;
-    let inside = least.cmpge(Vec4::ZERO) | greatest.cmple(Vec4::ZERO);
-    let t = (u * a[2] + v * b[2] + w * c[2]) / determinant;
-    let hit = inside & determinant.cmpne(Vec4::ZERO) & t.cmpgt(Vec4::ZERO);
-    (t, determinant.cmpgt(Vec4::ZERO).bitmask(), hit.bitmask())
+/// What a ray hits in a leaf.
+pub(crate) struct LeafHits {
+    /// Lanes that are hit.
+    pub(crate) mask: u32,
+    /// Lanes seen from the front.
+    pub(crate) front: u32,
+    /// Distances, where the mask is set.
+    pub(crate) t: [f32; 8],
+}
+
+#[inline(always)]
+fn edge<V: Lanes>(p: [V; 3], q: [V; 3]) -> V {
+    p[0].mul(q[1]).sub(p[1].mul(q[0]))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lanes::Portable;
     use proptest::prelude::*;
 
     fn one(corners: [Vec3; 3], origin: Vec3, direction: Vec3) -> Option<(f32, bool)> {
-        let mut block = TriangleBlock::EMPTY;
-        block.set(2, corners, 5);
-        let (t, front, hit) = intersect(&block, &ShearedRay::new(origin, direction));
-        assert_eq!(hit & !0b100, 0, "an empty lane was hit");
-        (hit != 0).then_some((t[2], front & 0b100 != 0))
+        let flat = ([Vec3::ONE; 3], 4);
+        let mut runs = TriangleRuns::with_count(6);
+        runs.set_leaf(0, &[flat, flat]);
+        runs.set_leaf(2, &[flat, (corners, 5), flat]);
+        runs.set_leaf(5, &[(corners, 6)]);
+        let ray = TracedRay::new(origin, direction);
+        let hits = runs.intersect::<Portable>(2, 3, &ray, f32::INFINITY);
+        assert_eq!(hits.mask & !0b10, 0, "an empty lane was hit");
+        (hits.mask != 0).then_some((hits.t[1], hits.front & 0b10 != 0))
     }
 
     #[test]
@@ -119,6 +179,23 @@ mod tests {
         }
         assert_eq!(one(corners, Vec3::new(0.25, 0.25, 1.0), Vec3::Z), None);
         assert_eq!(one(corners, Vec3::new(0.75, 0.75, 1.0), Vec3::NEG_Z), None);
+    }
+
+    #[test]
+    fn triangles_are_found_again() {
+        let triangle = |i: u32| ([Vec3::X, Vec3::Y, Vec3::Z].map(|axis| axis * i as f32), i | TWO_SIDED_BIT);
+        let all: Vec<_> = (0..200).map(triangle).collect();
+        let mut runs = TriangleRuns::with_count(200);
+        let mut first = 0;
+        for n in (1..=8).cycle() {
+            let end = (first + n).min(200);
+            runs.set_leaf(first as u32, &all[first..end]);
+            first = end;
+            if first == 200 {
+                break;
+            }
+        }
+        assert!((0..200).all(|i| runs.triangle(i) == all[i as usize]));
     }
 
     fn point() -> impl Strategy<Value = Vec3> {

@@ -3,7 +3,7 @@
 use glam::{DAffine3, DQuat, DVec3, Vec3};
 use kiln_core::{Class, FaceGroup, Kernel, Mesh};
 use kiln_trace::{
-    CosineSums, CpuTracer, Hit, KernelRates, MeshBvh, PositionError, Ray, Scene, SceneObject, SobolScramble,
+    CosineSums, CpuTracer, Hit, KernelRates, MeshBvh, Path, PositionError, Ray, Scene, SceneObject, SobolScramble,
     SurfaceSample, Tracer, is_open_above,
 };
 use proptest::prelude::*;
@@ -102,6 +102,53 @@ proptest! {
                     prop_assert_eq!((hit.instance, hit.primitive, hit.back_face), (instance, face, back));
                 }
             }
+        }
+    }
+
+    /// Rays in bundles, of one origin or of many, find what each finds alone, with every path's instructions, and whether
+    /// anything is hit is whether there is a closest hit.
+    #[test]
+    fn bundles_find_what_rays_find_alone(
+        soups in prop::collection::vec(prop::collection::vec(prop::array::uniform3(vec3()), 1..200), 1..3),
+        placements in prop::collection::vec((0usize..3, transform()), 1..12),
+        origins in prop::collection::vec(vec3(), 1..5),
+        directions in prop::collection::vec(vec3(), 1..150),
+        t_max in prop_oneof![Just(f32::INFINITY), 0.1f32..5.0],
+    ) {
+        let meshes: Vec<Mesh> = soups.iter().map(|soup| mesh(soup)).collect();
+        let mut objects: Vec<SceneObject> = placements
+            .iter()
+            .map(|&(mesh, world_from_object)| SceneObject { mesh: mesh % meshes.len(), world_from_object })
+            .collect();
+        objects.push(SceneObject { mesh: 0, world_from_object: DAffine3::IDENTITY });
+        let fast = tracer(&meshes, &objects);
+        let portable = CpuTracer::with_path(fast.scene().clone(), Path::Portable);
+        let axis = |i: usize, d: Vec3| if i.is_multiple_of(7) { Vec3::new(0.0, d.y, 0.0) } else { d };
+        let ray = |(i, d): (usize, &Vec3)| Ray { origin: origins[i % origins.len()], direction: axis(i, *d), t_max };
+        let rays: Vec<Ray> = directions.iter().enumerate().map(ray).collect();
+        let alone: Vec<Hit> = rays.iter().map(|ray| portable.closest_hit(ray)).collect();
+        for tracer in [&fast, &portable] {
+            let mut hits = vec![Hit::MISS; rays.len()];
+            tracer.trace(&rays, &mut hits).unwrap();
+            prop_assert_eq!(&hits, &alone);
+            let mut blocked = vec![false; rays.len()];
+            tracer.any_hit(&rays, &mut blocked).unwrap();
+            prop_assert!(blocked.iter().zip(&alone).all(|(blocked, hit)| *blocked == hit.is_hit()));
+        }
+        let samples: Vec<SurfaceSample> = directions.iter().enumerate().map(|(i, d)| {
+            let normal = d.normalize_or(Vec3::Y);
+            let scramble = SobolScramble([i as u32, 7]);
+            SurfaceSample { origin: origins[i % origins.len()], normal, geometric: normal, scramble, first_index: 0 }
+        }).collect();
+        let kernel = KernelRates::new(&Kernel::Obscurance { half_distances_m: vec![0.5, 2.0] });
+        for rays_per_sample in [1, 16, 128] {
+            let sums = [&fast, &portable].map(|tracer| {
+                let mut sums = vec![CosineSums::default(); samples.len()];
+                tracer.gather_cosine(&samples, &kernel, rays_per_sample, &mut sums).unwrap();
+                sums
+            });
+            prop_assert_eq!(&sums[0], &sums[1]);
+            prop_assert!(sums[0].iter().all(|sum| sum.rays <= rays_per_sample && sum.values[0] <= sum.rays << 16));
         }
     }
 

@@ -25,8 +25,8 @@ fn tracers(scene: &TestScene) -> (CpuTracer, GpuTracer) {
     (CpuTracer::new(built), gpu)
 }
 
-/// 99.5 % of samples within 2e-3, all within 4/N; validity differs on at most one sample in 10,000.
-fn check(name: &str, cpu: &[CosineSums], gpu: &[CosineSums], rates: &KernelRates, rays: u32) {
+/// 99.5 % of samples within 2e-3, all within 4/N. Gives the number of samples whose validity differs.
+fn check(name: &str, cpu: &[CosineSums], gpu: &[CosineSums], rates: &KernelRates, rays: u32) -> usize {
     let (mut far, mut differing_validity) = (0, 0);
     for (c, g) in cpu.iter().zip(gpu) {
         for channel in 0..rates.channels {
@@ -38,21 +38,25 @@ fn check(name: &str, cpu: &[CosineSums], gpu: &[CosineSums], rates: &KernelRates
         differing_validity += usize::from((c.back_face_fraction() > 0.25) != (g.back_face_fraction() > 0.25));
     }
     assert!(far <= cpu.len() * rates.channels / 200, "{name}: {far} of {} samples differ", cpu.len());
-    assert!(differing_validity <= cpu.len() / 10_000 + 1, "{name}: validity of {differing_validity} samples differs");
+    differing_validity
 }
 
 #[test]
 fn agrees_with_the_cpu_on_every_scene() {
+    let (mut differing_validity, mut all) = (0, 0);
     for scene in scenes::all() {
         let (cpu, gpu) = tracers(&scene);
         let samples = scene.samples(SAMPLES, RAYS);
         let rates = obscurance();
         let (c, g) = (gather(&cpu, &samples, &rates, RAYS), gather(&gpu, &samples, &rates, RAYS));
-        check(scene.name, &c, &g, &rates, RAYS);
+        differing_validity += check(scene.name, &c, &g, &rates, RAYS);
+        all += samples.len();
         // The scenes do what they are for: rays hit, and backs are seen where they should be.
         let ao = c.iter().map(|s| s.ao(0)).sum::<f64>() / c.len() as f64;
         assert_eq!(ao < 0.999, scene.name != "nothing" && scene.name != "ball from outside", "{}: {ao}", scene.name);
     }
+    // One sample in 10,000: a ray at an edge may decide, where just a quarter of a sample's rays see backs.
+    assert!(differing_validity <= all / 10_000, "validity of {differing_validity} of {all} samples differs");
 }
 
 #[test]
@@ -71,7 +75,7 @@ fn agrees_for_any_number_of_rays_and_samples() {
         ] {
             let rates = KernelRates::new(&kernel);
             let (c, g) = (gather(&cpu, &samples, &rates, rays), gather(&gpu, &samples, &rates, rays));
-            check(&format!("{rays} rays, {count} samples"), &c, &g, &rates, rays);
+            assert!(check(&format!("{rays} rays, {count} samples"), &c, &g, &rates, rays) <= 1);
             let total = |sums: &[CosineSums]| sums.iter().map(|s| i64::from(s.rays)).sum::<i64>();
             assert!((total(&c) - total(&g)).abs() <= 1, "{rays} rays, {count} samples: not every ray was traced once");
         }
@@ -83,6 +87,7 @@ fn no_samples_is_no_error() {
     let (_, gpu) = tracers(&scenes::all()[0]);
     assert_eq!(gather(&gpu, &[], &obscurance(), 32), []);
     gpu.trace(&[], &mut []).expect("nothing to do");
+    gpu.any_hit(&[], &mut []).expect("nothing to do");
 }
 
 #[test]
@@ -109,6 +114,52 @@ fn closest_hits_are_those_of_the_cpu() {
         assert_eq!(g.iter().any(Hit::is_hit), scene.name != "nothing", "{}", scene.name);
         println!("{}: {far} distances and {other} faces of {} differ", scene.name, rays.len());
     }
+}
+
+/// The early-out kernel says what the closest hits say, also where they lie exactly at the ray's end.
+#[test]
+fn any_hit_is_what_trace_finds() {
+    for scene in scenes::all() {
+        let (_, gpu) = tracers(&scene);
+        let mut numbers = Numbers(8);
+        let ray = |sample: &SurfaceSample| {
+            let t_max = [0.2, 3.0, f32::INFINITY][(numbers.bits() % 3) as usize];
+            Ray { origin: sample.origin, direction: numbers.point() * 2.0, t_max }
+        };
+        // No multiple of a workgroup's rays.
+        let mut rays: Vec<Ray> = scene.samples(5001, 16).iter().map(ray).collect();
+        let mut hits = vec![Hit::MISS; rays.len()];
+        gpu.trace(&rays, &mut hits).expect("it traces");
+        let ends =
+            rays.iter().zip(&hits).filter(|(_, hit)| hit.is_hit()).map(|(ray, hit)| Ray { t_max: hit.t, ..*ray });
+        let ends: Vec<Ray> = ends.collect();
+        rays.extend(ends);
+        hits.resize(rays.len(), Hit::MISS);
+        gpu.trace(&rays, &mut hits).expect("it traces");
+        let mut blocked = vec![false; rays.len()];
+        gpu.any_hit(&rays, &mut blocked).expect("it traces");
+        let expected: Vec<bool> = hits.iter().map(Hit::is_hit).collect();
+        assert!(blocked == expected, "{}", scene.name);
+        assert!(blocked.contains(&true) == (scene.name != "nothing") && blocked.contains(&false), "{}", scene.name);
+    }
+}
+
+/// Counters: a ray that meets nothing reads the first node at least, and one that hits has tested a triangle.
+#[test]
+fn visits_are_counted() {
+    let scene = &scenes::all()[2];
+    let (_, gpu) = tracers(scene);
+    let rays: Vec<Ray> = (0..100)
+        .map(|i| Ray {
+            origin: Vec3::X * (i / 50) as f32 * 50.0,
+            direction: Vec3::new(1.0, 0.1, 0.01 * i as f32),
+            t_max: 1e3,
+        })
+        .collect();
+    let visits = gpu.visits(&rays).expect("it traces");
+    // The inner half is in a closed ball, the outer looks away from it.
+    assert_eq!((visits.rays, visits.hits, visits.instances), (100, 50, 50));
+    assert!(visits.nodes >= 100 + 50 && visits.triangles >= 50 && visits.triangles < 50 * 40, "{visits:?}");
 }
 
 /// A hit exactly at the ray's end counts from the front, as on the CPU.
@@ -159,6 +210,25 @@ fn closed_meshes_are_watertight() {
     gpu.trace(&rays, &mut hits).expect("it traces");
     assert!(sums.iter().all(|s| s.values[0] == 0 && s.back_faces == 0 && s.rays > 1000));
     assert!(hits.iter().all(|hit| hit.is_hit() && !hit.back_face));
+}
+
+/// Subgroup operations change no sum.
+#[test]
+fn sums_are_the_same_without_subgroups() {
+    let (with, without) = (crate::device(), crate::device_without_subgroups());
+    assert!(!without.has_subgroups());
+    if !with.has_subgroups() {
+        println!("{} has no subgroup operations: nothing to compare", with.describe());
+        return;
+    }
+    let scene = &scenes::all()[4];
+    let built = scene.build();
+    let tracers = [with, without].map(|device| GpuTracer::new(device, &built).expect("the scene fits"));
+    for (rays, count) in [(1, 70), (2, 37), (8, 5), (16, 2000), (64, 1), (256, 3), (2048, 2)] {
+        let samples = scene.samples(count, rays);
+        let [a, b] = tracers.each_ref().map(|tracer| gather(tracer, &samples, &obscurance(), rays));
+        assert_eq!(a, b, "{rays} rays, {count} samples");
+    }
 }
 
 /// How the geometry is spread over bindings, what is dispatched together and by which thread changes no result.

@@ -16,9 +16,19 @@ fn device() -> Arc<GpuDevice> {
     Arc::clone(DEVICE.get_or_init(open_device))
 }
 
+/// A device whose kernels use no subgroup operations.
+fn device_without_subgroups() -> Arc<GpuDevice> {
+    static DEVICE: OnceLock<Arc<GpuDevice>> = OnceLock::new();
+    Arc::clone(DEVICE.get_or_init(|| open_device_with(false)))
+}
+
 /// A device of one's own.
 fn open_device() -> Arc<GpuDevice> {
-    let device = GpuDevice::open(&AdapterChoice::Software).expect("the software adapter opens");
+    open_device_with(true)
+}
+
+fn open_device_with(subgroups: bool) -> Arc<GpuDevice> {
+    let device = GpuDevice::open_with(&AdapterChoice::Software, subgroups).expect("the software adapter opens");
     device.expect(
         "these tests need a software Vulkan driver; on Debian or Ubuntu: \
          apt-get install -y mesa-vulkan-drivers libvulkan1",

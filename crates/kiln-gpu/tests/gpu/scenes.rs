@@ -308,6 +308,15 @@ pub(crate) fn for_benchmarks() -> Vec<TestScene> {
     ]
 }
 
+/// Faces that are given, single-sided.
+pub(crate) fn of_faces(name: &'static str, positions: Vec<[f32; 3]>, faces: Vec<[u32; 3]>) -> TestScene {
+    let mut whole = mesh(&[], usize::MAX);
+    whole.normals = vec![[0.0; 3]; positions.len()];
+    whole.face_group = vec![0; faces.len()];
+    (whole.positions, whole.faces) = (positions, faces);
+    TestScene { name, meshes: vec![whole], objects: vec![still(0)] }
+}
+
 /// Inward faces of a ball of the given radius.
 pub(crate) fn hollow_ball(radius: f32, n: u32) -> TestScene {
     TestScene::new("hollow ball", &inside_out(ball(radius, n)), vec![still(0)])

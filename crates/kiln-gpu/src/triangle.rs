@@ -1,0 +1,41 @@
+//! A triangle on the device; the host side of `triangle.wgsl`.
+//!
+//! 48 bytes, three words of 16: a corner each, and the id beside the first. Ten words of 4 bytes would do, but
+//! then a triangle would take ten loads instead of three, none of them aligned: bytes are dear where they come from
+//! memory, and there a line of 64 or 128 bytes is read whatever is asked for.
+//!
+//! Products of the edge functions and of the shear pass through `rounded`, an exclusive or with a zero that no compiler
+//! can see through. Drivers may fuse a product into a sum (WGSL cannot forbid it), and edge functions of neighbouring faces
+//! would no longer be exact negatives: rays would slip through. Elsewhere fusing does no harm.
+
+use bytemuck::{Pod, Zeroable};
+use kiln_trace::MeshBvh;
+
+/// Set in the rank of a back-face hit; keep in sync with `triangle.wgsl`.
+pub(crate) const BACK_BIT: u32 = 1 << 31;
+/// The rank of no hit; keep in sync with `triangle.wgsl`.
+pub(crate) const MISS_RANK: u32 = BACK_BIT - 1;
+
+/// A triangle of a mesh.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub(crate) struct TriangleRecord {
+    a: [f32; 3],
+    /// Face index with `TWO_SIDED_BIT`.
+    primitive: u32,
+    b: [f32; 3],
+    padding_b: u32,
+    c: [f32; 3],
+    padding_c: u32,
+}
+
+const _: () = assert!(size_of::<TriangleRecord>() == 48);
+
+impl TriangleRecord {
+    /// The triangle that a leaf of a mesh names.
+    pub(crate) fn of(mesh: &MeshBvh, index: u32) -> Self {
+        let (corners, primitive) = mesh.triangle(index);
+        let [a, b, c] = corners.map(|corner| corner.to_array());
+        Self { a, primitive, b, padding_b: 0, c, padding_c: 0 }
+    }
+}

@@ -1,0 +1,276 @@
+//! Lanes in AVX2 registers, and the kernels compiled for them.
+//!
+//! All unsafe code of the tracer that has to do with instructions is here. An [`Avx2`] exists only inside the kernels
+//! below, whose entries are called only where the processor was found to have the instructions.
+
+#![expect(unsafe_code, reason = "instructions that not every processor has")]
+
+use crate::{
+    CosineSums, Hit, Ray, Scene, SurfaceSample,
+    alone::{self, MeshLeaves, Waiting},
+    bundle::{self, Hits, Memory, Rays},
+    lanes::Lanes,
+    levels::{self, MeshBundle, SceneAlone, Workspace},
+    path::Kernels,
+    ray::TracedRay,
+    stream::{self, Gather},
+};
+use std::arch::x86_64::*;
+
+/// Eight lanes in one register.
+#[derive(Clone, Copy)]
+pub(crate) struct Avx2(__m256);
+
+macro_rules! binary {
+    ($($name:ident $intrinsic:ident),*) => {
+        $(#[inline(always)]
+        fn $name(self, other: Self) -> Self {
+            // SAFETY: an Avx2 exists only where the processor has AVX2.
+            Self(unsafe { $intrinsic(self.0, other.0) })
+        })*
+    };
+}
+
+macro_rules! comparison {
+    ($($name:ident $predicate:ident),*) => {
+        $(#[inline(always)]
+        fn $name(self, other: Self) -> __m256 {
+            // SAFETY: an Avx2 exists only where the processor has AVX2.
+            unsafe { _mm256_cmp_ps::<$predicate>(self.0, other.0) }
+        })*
+    };
+}
+
+impl Lanes for Avx2 {
+    type Mask = __m256;
+
+    #[inline(always)]
+    fn splat(x: f32) -> Self {
+        // SAFETY: called only from kernels that run where the processor has AVX2.
+        Self(unsafe { _mm256_set1_ps(x) })
+    }
+
+    #[inline(always)]
+    fn load(row: &[f32; 8]) -> Self {
+        // SAFETY: eight floats are readable; the rest as in `splat`.
+        Self(unsafe { _mm256_loadu_ps(row.as_ptr()) })
+    }
+
+    #[inline(always)]
+    fn store(self, row: &mut [f32; 8]) {
+        // SAFETY: eight floats are writable; the rest as in `splat`.
+        unsafe { _mm256_storeu_ps(row.as_mut_ptr(), self.0) }
+    }
+
+    binary!(
+        add _mm256_add_ps,
+        sub _mm256_sub_ps,
+        mul _mm256_mul_ps,
+        div _mm256_div_ps,
+        min _mm256_min_ps,
+        max _mm256_max_ps
+    );
+    comparison!(le _CMP_LE_OQ, lt _CMP_LT_OQ, ne _CMP_NEQ_OQ);
+
+    #[inline(always)]
+    fn and(a: __m256, b: __m256) -> __m256 {
+        // SAFETY: a mask comes from an Avx2.
+        unsafe { _mm256_and_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn or(a: __m256, b: __m256) -> __m256 {
+        // SAFETY: a mask comes from an Avx2.
+        unsafe { _mm256_or_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn bits(mask: __m256) -> u32 {
+        // SAFETY: a mask comes from an Avx2.
+        unsafe { _mm256_movemask_ps(mask) }.cast_unsigned()
+    }
+
+    #[inline(always)]
+    fn select(mask: __m256, a: Self, b: Self) -> Self {
+        // SAFETY: a mask comes from an Avx2.
+        Self(unsafe { _mm256_blendv_ps(b.0, a.0, mask) })
+    }
+
+    #[inline(always)]
+    fn prefetch<T>(things: &[T]) {
+        let mut at = 0;
+        while at < size_of_val(things) {
+            // SAFETY: a prefetch reads nothing that the program could see.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(things.as_ptr().cast::<i8>().wrapping_add(at)) };
+            at += 64;
+        }
+    }
+
+    #[inline(always)]
+    fn column(bytes: &[u8; 64], slot: u32) -> u64 {
+        // SAFETY: 64 bytes are readable; the rest as in `splat`. Bits that cross from one byte of a word to the other are
+        // moved to its lower bits only: the top bit of each byte comes from the same byte, as slot is below 8.
+        unsafe {
+            let up = _mm_cvtsi32_si128(7 - (slot & 7).cast_signed());
+            let low = _mm256_sll_epi16(_mm256_loadu_si256(bytes.as_ptr().cast()), up);
+            let high = _mm256_sll_epi16(_mm256_loadu_si256(bytes.as_ptr().add(32).cast()), up);
+            let low = _mm256_movemask_epi8(low).cast_unsigned();
+            let high = _mm256_movemask_epi8(high).cast_unsigned();
+            u64::from(low) | u64::from(high) << 32
+        }
+    }
+}
+
+/// Whether the processor has what the kernels below are compiled for.
+pub(crate) fn is_available() -> bool {
+    is_x86_feature_detected!("avx2")
+        && is_x86_feature_detected!("bmi1")
+        && is_x86_feature_detected!("bmi2")
+        && is_x86_feature_detected!("lzcnt")
+        && is_x86_feature_detected!("popcnt")
+}
+
+impl Kernels for Avx2 {
+    #[inline(always)]
+    fn trace_bundle<const ANY: bool, const SHARED: bool>(scene: &Scene, count: usize, workspace: &mut Workspace) {
+        // SAFETY: as in `walk_mesh`.
+        unsafe { trace_bundle::<ANY, SHARED>(scene, count, workspace) }
+    }
+
+    #[inline(always)]
+    fn walk_mesh<const ANY: bool, const SHARED: bool>(
+        leaves: &mut MeshBundle<'_>,
+        rays: &Rays,
+        mask: u64,
+        hits: &mut Hits,
+        memory: &mut Memory,
+    ) {
+        // SAFETY: called only from the kernels below, which run where the processor has the instructions.
+        unsafe { walk_mesh::<ANY, SHARED>(leaves, rays, mask, hits, memory) }
+    }
+
+    #[inline(always)]
+    fn walk_mesh_alone<const ANY: bool>(
+        leaves: &MeshLeaves<'_>,
+        start: u32,
+        ray: &TracedRay,
+        best: &mut Hit,
+        stack: &mut [Waiting],
+    ) {
+        // SAFETY: as in `walk_mesh`.
+        unsafe { walk_mesh_alone::<ANY>(leaves, start, ray, best, stack) }
+    }
+
+    #[inline(always)]
+    fn walk_scene_alone<const ANY: bool>(
+        leaves: &SceneAlone<'_>,
+        start: u32,
+        ray: &TracedRay,
+        best: &mut Hit,
+        stack: &mut [Waiting],
+    ) {
+        // SAFETY: as in `walk_mesh`.
+        unsafe { walk_scene_alone::<ANY>(leaves, start, ray, best, stack) }
+    }
+}
+
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn trace_bundle<const ANY: bool, const SHARED: bool>(scene: &Scene, count: usize, workspace: &mut Workspace) {
+    levels::trace_bundle::<Avx2, ANY, SHARED>(scene, count, workspace);
+}
+
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn walk_mesh<const ANY: bool, const SHARED: bool>(
+    leaves: &mut MeshBundle<'_>,
+    rays: &Rays,
+    mask: u64,
+    hits: &mut Hits,
+    memory: &mut Memory,
+) {
+    let mesh = leaves.mesh.mesh;
+    bundle::walk::<Avx2, _, ANY, SHARED>(&mesh.nodes, leaves, rays, mask, hits, memory);
+}
+
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn walk_mesh_alone<const ANY: bool>(
+    leaves: &MeshLeaves<'_>,
+    start: u32,
+    ray: &TracedRay,
+    best: &mut Hit,
+    stack: &mut [Waiting],
+) {
+    alone::walk::<Avx2, _, ANY>(&leaves.mesh.nodes, leaves, start, ray, best, stack);
+}
+
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn walk_scene_alone<const ANY: bool>(
+    leaves: &SceneAlone<'_>,
+    start: u32,
+    ray: &TracedRay,
+    best: &mut Hit,
+    stack: &mut [Waiting],
+) {
+    alone::walk::<Avx2, _, ANY>(&leaves.scene.nodes, leaves, start, ray, best, stack);
+}
+
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn trace_in(scene: &Scene, rays: &[Ray], hits: &mut [Hit], workspace: &mut Workspace) {
+    stream::trace::<Avx2, _>(scene, rays, hits, workspace);
+}
+
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn any_hit_in(scene: &Scene, rays: &[Ray], blocked: &mut [bool], workspace: &mut Workspace) {
+    stream::trace::<Avx2, _>(scene, rays, blocked, workspace);
+}
+
+#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+fn gather_in(gather: &Gather<'_>, samples: &[SurfaceSample], sums: &mut [CosineSums], workspace: &mut Workspace) {
+    gather.run::<Avx2>(samples, sums, workspace);
+}
+
+/// As [`stream::trace`]; false where the processor lacks the instructions.
+pub(crate) fn trace(scene: &Scene, rays: &[Ray], hits: &mut [Hit], workspace: &mut Workspace) -> bool {
+    // SAFETY: the instructions are available.
+    is_available() && {
+        unsafe { trace_in(scene, rays, hits, workspace) };
+        true
+    }
+}
+
+/// As [`stream::trace`] for any hit; false where the processor lacks the instructions.
+pub(crate) fn any_hit(scene: &Scene, rays: &[Ray], blocked: &mut [bool], workspace: &mut Workspace) -> bool {
+    // SAFETY: the instructions are available.
+    is_available() && {
+        unsafe { any_hit_in(scene, rays, blocked, workspace) };
+        true
+    }
+}
+
+/// As [`Gather::run`]; false where the processor lacks the instructions.
+pub(crate) fn gather(
+    gather: &Gather<'_>,
+    samples: &[SurfaceSample],
+    sums: &mut [CosineSums],
+    workspace: &mut Workspace,
+) -> bool {
+    // SAFETY: the instructions are available.
+    is_available() && {
+        unsafe { gather_in(gather, samples, sums, workspace) };
+        true
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// What the lanes do, where the processor has them.
+    pub(crate) fn agree(a: [f32; 8], b: [f32; 8], bytes: &[u8; 64]) -> Option<Vec<[u32; 8]>> {
+        #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
+        fn inside(a: [f32; 8], b: [f32; 8], bytes: &[u8; 64]) -> Vec<[u32; 8]> {
+            crate::lanes::tests::agree::<Avx2>(a, b, bytes)
+        }
+        // SAFETY: the instructions are available.
+        is_available().then(|| unsafe { inside(a, b, bytes) })
+    }
+}

@@ -1,0 +1,138 @@
+//! From streams of rays and samples to bundles, and from hits to sums.
+
+use crate::{
+    CosineSums, Hit, KernelRates, ONE, Ray, Scene, SurfaceSample, bundle::BUNDLE, directions::cosine_directions,
+    levels::Workspace, orthonormal_basis, path::Kernels,
+};
+use glam::Vec3;
+
+/// An answer to what a ray hits.
+pub(crate) trait Answer {
+    /// The first hit found is enough.
+    const ANY: bool;
+
+    fn of(hit: Hit) -> Self;
+}
+
+impl Answer for Hit {
+    const ANY: bool = false;
+
+    fn of(hit: Hit) -> Self {
+        if hit.instance == u32::MAX { Self::MISS } else { hit }
+    }
+}
+
+impl Answer for bool {
+    const ANY: bool = true;
+
+    fn of(hit: Hit) -> Self {
+        hit.instance != u32::MAX
+    }
+}
+
+/// Traces rays in their order, as many at a time as a bundle holds.
+#[inline(always)]
+pub(crate) fn trace<V: Kernels, A: Answer>(scene: &Scene, rays: &[Ray], answers: &mut [A], workspace: &mut Workspace) {
+    for (rays, answers) in rays.chunks(BUNDLE).zip(answers.chunks_mut(BUNDLE)) {
+        let mut is_shared = true;
+        for (index, ray) in rays.iter().enumerate() {
+            workspace.origins[index] = ray.origin;
+            workspace.directions[index] = ray.direction;
+            workspace.hits.start(index, ray.t_max);
+            is_shared &= ray.origin == rays[0].origin;
+        }
+        match (A::ANY, is_shared) {
+            (false, false) => V::trace_bundle::<false, false>(scene, rays.len(), workspace),
+            (false, true) => V::trace_bundle::<false, true>(scene, rays.len(), workspace),
+            (true, false) => V::trace_bundle::<true, false>(scene, rays.len(), workspace),
+            (true, true) => V::trace_bundle::<true, true>(scene, rays.len(), workspace),
+        }
+        for (index, answer) in answers.iter_mut().enumerate() {
+            *answer = A::of(workspace.hits.get(index));
+        }
+    }
+}
+
+/// How samples are gathered.
+pub(crate) struct Gather<'a> {
+    pub(crate) scene: &'a Scene,
+    pub(crate) kernel: &'a KernelRates,
+    pub(crate) rays_per_sample: u32,
+}
+
+impl Gather<'_> {
+    /// Gathers samples in their order. Rays of several samples share a bundle where one has too few to fill it.
+    #[inline(always)]
+    pub(crate) fn run<V: Kernels>(
+        &self,
+        samples: &[SurfaceSample],
+        sums: &mut [CosineSums],
+        workspace: &mut Workspace,
+    ) {
+        let mut bundle = Bundle { owners: [0; BUNDLE], count: 0 };
+        for (index, sample) in samples.iter().enumerate() {
+            sums[index] = CosineSums::default();
+            let basis = orthonormal_basis(sample.normal);
+            let mut first = 0;
+            while first < self.rays_per_sample {
+                let start = sample.first_index.wrapping_add(first);
+                let directions = cosine_directions(start, sample.scramble, sample.normal, basis);
+                for direction in directions.iter().take((self.rays_per_sample - first) as usize) {
+                    if direction.dot(sample.geometric) > 0.0 {
+                        bundle.push(index, sample.origin, *direction, self.kernel.t_max, workspace);
+                        if bundle.count == BUNDLE {
+                            self.finish::<V>(&mut bundle, sums, workspace);
+                        }
+                    }
+                }
+                first += 8;
+            }
+            // Rays that share their origin cost less than what a bundle that is not full wastes.
+            if self.rays_per_sample as usize >= BUNDLE {
+                self.finish::<V>(&mut bundle, sums, workspace);
+            }
+        }
+        self.finish::<V>(&mut bundle, sums, workspace);
+    }
+
+    #[inline(always)]
+    fn finish<V: Kernels>(&self, bundle: &mut Bundle, sums: &mut [CosineSums], workspace: &mut Workspace) {
+        let count = std::mem::take(&mut bundle.count);
+        if count == 0 {
+            return;
+        }
+        if bundle.owners[0] == bundle.owners[count - 1] {
+            V::trace_bundle::<false, true>(self.scene, count, workspace);
+        } else {
+            V::trace_bundle::<false, false>(self.scene, count, workspace);
+        }
+        for (index, &owner) in bundle.owners[..count].iter().enumerate() {
+            let (hit, sum) = (workspace.hits.get(index), &mut sums[owner as usize]);
+            sum.rays += 1;
+            let is_hit = hit.instance != u32::MAX;
+            for channel in 0..self.kernel.channels {
+                sum.values[channel] += if is_hit { self.kernel.hit_value(channel, hit.t) } else { ONE };
+            }
+            sum.back_faces += u32::from(is_hit && hit.back_face);
+        }
+    }
+}
+
+/// Whose rays are in the workspace.
+struct Bundle {
+    /// Samples, in rising order.
+    owners: [u32; BUNDLE],
+    count: usize,
+}
+
+impl Bundle {
+    #[inline(always)]
+    fn push(&mut self, sample: usize, origin: Vec3, direction: Vec3, t_max: f32, workspace: &mut Workspace) {
+        let index = self.count;
+        self.owners[index] = sample as u32;
+        workspace.origins[index] = origin;
+        workspace.directions[index] = direction;
+        workspace.hits.start(index, t_max);
+        self.count = index + 1;
+    }
+}
