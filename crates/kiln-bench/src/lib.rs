@@ -3,28 +3,37 @@
 pub mod accuracy;
 mod clock;
 mod error;
+mod imported;
+mod memory;
 mod provenance;
+pub mod rays;
+mod scratch;
 pub mod solve;
+mod spread;
 
 pub use error::BenchError;
 pub use provenance::Provenance;
 
 use clap::Subcommand;
+use kiln_worker::tasks::Backend;
 
 /// A measurement.
 #[derive(Subcommand, Debug)]
 pub enum Bench {
     /// Error against time and rays of several ways to bake, on given scenes
     Accuracy(Box<accuracy::Args>),
+    /// Rays per second, time and memory of building BVHs, beside another tracer and ray by ray
+    Rays(rays::Args),
     /// The linear solver beside CHOLMOD and Eigen, and its stress suite
     Solve(solve::Args),
 }
 
 impl Bench {
-    /// Runs the measurement and prints its table.
-    pub fn run(&self) -> Result<(), BenchError> {
+    /// Runs the measurement and prints its table. `backend` is where `rays` traces; the others use the CPU.
+    pub fn run(&self, backend: &Backend) -> Result<(), BenchError> {
         match self {
             Self::Accuracy(args) => accuracy::run(args),
+            Self::Rays(args) => rays::run(args, backend),
             Self::Solve(args) => solve::run(args),
         }
     }

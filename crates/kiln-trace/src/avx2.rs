@@ -23,21 +23,25 @@ pub(crate) struct Avx2(__m256);
 
 macro_rules! binary {
     ($($name:ident $intrinsic:ident),*) => {
-        $(#[inline(always)]
+        $(
+        #[inline(always)]
         fn $name(self, other: Self) -> Self {
             // SAFETY: an Avx2 exists only where the processor has AVX2.
             Self(unsafe { $intrinsic(self.0, other.0) })
-        })*
+        }
+        )*
     };
 }
 
 macro_rules! comparison {
     ($($name:ident $predicate:ident),*) => {
-        $(#[inline(always)]
+        $(
+        #[inline(always)]
         fn $name(self, other: Self) -> __m256 {
             // SAFETY: an Avx2 exists only where the processor has AVX2.
             unsafe { _mm256_cmp_ps::<$predicate>(self.0, other.0) }
-        })*
+        }
+        )*
     };
 }
 

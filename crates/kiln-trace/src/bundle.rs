@@ -129,7 +129,7 @@ pub(crate) fn walk<V: Kernels, L: BundleLeaves, const ANY: bool, const SHARED: b
                 for waiting in &memory.waiting[bottom..top] {
                     match BvhLink::of_reference(waiting.reference) {
                         BvhLink::Node(index) => {
-                            V::prefetch(nodes.get(index as usize..=index as usize).unwrap_or_default())
+                            V::prefetch(nodes.get(index as usize..=index as usize).unwrap_or_default());
                         }
                         BvhLink::Leaf { first, .. } => leaves.prefetch::<V>(first),
                     }

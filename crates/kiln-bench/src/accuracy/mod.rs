@@ -15,7 +15,7 @@ mod report;
 mod scene;
 mod settings;
 mod summary;
-mod svg;
+pub(crate) mod svg;
 mod table;
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,6 @@
 //! The plot of error against time: a row of panels for each scene, log-log.
 
-mod axis;
+pub(crate) mod axis;
 mod panel;
 
 use super::{report::SceneReport, variant::Family};
@@ -90,7 +90,7 @@ fn panels(scene: &SceneReport) -> Vec<Panel> {
 }
 
 /// Text as the content of an element.
-fn escape(text: &str) -> String {
+pub(crate) fn escape(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).fold(String::new(), |mut out, c| {
         match c {
             '&' => out.push_str("&amp;"),

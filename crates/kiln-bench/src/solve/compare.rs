@@ -4,10 +4,10 @@ use super::{
     outcome::{Outcome, Program},
     system_file,
 };
-use crate::BenchError;
+use crate::{BenchError, spread::Spread};
 use kiln_solve::ComponentSystem;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// The solvers of a comparison and how often each runs.
 pub(super) struct Contest {
@@ -53,25 +53,6 @@ pub(super) struct SolverResult {
     pub(super) kiln_cpu_ratio: Option<Spread>,
     /// Kiln's peak memory over this solver's, round by round.
     pub(super) kiln_memory_ratio: Option<Spread>,
-}
-
-/// Median and range.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub(super) struct Spread {
-    pub(super) median: f64,
-    pub(super) min: f64,
-    pub(super) max: f64,
-}
-
-impl Spread {
-    /// Of some numbers, if there are any.
-    pub(super) fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
-        let mut values: Vec<f64> = values.into_iter().collect();
-        values.sort_by(f64::total_cmp);
-        let (min, max) = (*values.first()?, *values.last()?);
-        let median = 0.5 * (values[(values.len() - 1) / 2] + values[values.len() / 2]);
-        Some(Self { median, min, max })
-    }
 }
 
 impl Contest {
@@ -142,40 +123,9 @@ fn greater(a: f64, b: f64) -> f64 {
     if b > a || b.is_nan() { b } else { a }
 }
 
-/// A folder for the files of one run, removed with it.
-pub(super) struct Scratch(pub(super) PathBuf);
-
-impl Scratch {
-    pub(super) fn new() -> Result<Self, BenchError> {
-        let path = std::env::temp_dir().join(format!("kiln-bench-solve-{}", std::process::id()));
-        let reason = |error: std::io::Error| format!("{error}; set TMPDIR to a folder with space");
-        std::fs::create_dir_all(&path)
-            .map_err(|error| BenchError::File { path: path.clone(), reason: reason(error) })?;
-        Ok(Self(path))
-    }
-
-    pub(super) fn path(&self) -> &Path {
-        &self.0
-    }
-}
-
-impl Drop for Scratch {
-    fn drop(&mut self) {
-        // A folder of temporary files that stays behind is no reason to fail.
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn spreads() {
-        assert_eq!(Spread::of([3.0, 1.0, 2.0]), Some(Spread { median: 2.0, min: 1.0, max: 3.0 }));
-        assert_eq!(Spread::of([4.0, 1.0]), Some(Spread { median: 2.5, min: 1.0, max: 4.0 }));
-        assert_eq!(Spread::of([]), None);
-    }
 
     #[test]
     fn what_is_not_a_number_is_the_greatest() {

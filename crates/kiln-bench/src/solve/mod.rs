@@ -11,8 +11,8 @@ pub mod stress;
 mod system_file;
 mod table;
 
-use crate::{BenchError, Provenance};
-use compare::{CaseResult, Contest, Peer, Scratch};
+use crate::{BenchError, Provenance, scratch::Scratch};
+use compare::{CaseResult, Contest, Peer};
 use kiln_core::{DEFAULT_REGULARIZATION, SolveSettings};
 use kiln_solve::{ComponentSystem, components::Components, system::MAX_COLUMNS};
 use outcome::Program;
@@ -107,7 +107,7 @@ fn json_text(value: &impl Serialize) -> Result<String, BenchError> {
 impl Args {
     #[expect(clippy::print_stderr, reason = "what it is doing, beside the command's output")]
     fn measure(&self) -> Result<Vec<CaseResult>, BenchError> {
-        let scratch = Scratch::new()?;
+        let scratch = Scratch::new("solve")?;
         let mut cases = Vec::new();
         for &alpha in &self.alpha {
             let settings = SolveSettings { regularization: alpha, ..SolveSettings::default() };

@@ -1,7 +1,7 @@
 //! One solve of a system file by Kiln, in a process of its own: what `kiln bench solve` starts again and again.
 
 use super::{outcome::Outcome, system_file};
-use crate::{BenchError, clock::Stopwatch};
+use crate::{BenchError, clock::Stopwatch, memory::status_kib};
 use kiln_core::ComponentMethod;
 use kiln_solve::{ComponentAnswer, ComponentSystem, SolverParams, components::Components, parallel::solve_all};
 use std::{collections::BTreeMap, path::Path};
@@ -43,11 +43,4 @@ fn solve(whole: &ComponentSystem<'_>) -> (Vec<f64>, Vec<(usize, ComponentAnswer)
         }
     }
     (x, answers)
-}
-
-/// A figure of this process in KiB, 0 where the system does not tell.
-fn status_kib(name: &str) -> u64 {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find_map(|line| line.strip_prefix(name));
-    line.and_then(|line| line.split_whitespace().next()?.parse().ok()).unwrap_or(0)
 }

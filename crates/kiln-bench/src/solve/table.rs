@@ -1,6 +1,7 @@
 //! The results as Markdown.
 
-use super::compare::{CaseResult, SolverResult, Spread};
+use super::compare::{CaseResult, SolverResult};
+use crate::spread::Spread;
 use std::fmt::Write;
 
 /// How to come by the peers' columns.
@@ -58,7 +59,5 @@ fn row(text: &mut String, case: &CaseResult, solver: &SolverResult, is_reference
 
 /// `median (min–max)`, or nothing.
 fn spread(spread: Option<Spread>, digits: usize) -> String {
-    spread.map_or_else(String::new, |Spread { median, min, max }| {
-        format!("{median:.digits$} ({min:.digits$}–{max:.digits$})")
-    })
+    spread.map_or_else(String::new, |spread| spread.text(digits))
 }

@@ -96,7 +96,7 @@ pub(crate) struct ViewArgs {
     pub(crate) size: [u32; 2],
 }
 
-/// Measures Kiln: error against time and rays, the solver beside others.
+/// Measures Kiln: error against time and rays, the tracer and the solver beside others.
 #[derive(Args, Debug)]
 pub(crate) struct BenchArgs {
     #[command(subcommand)]

@@ -1,14 +1,20 @@
 //! `kiln bench`: measurements.
 
 use crate::{
-    args::{BenchArgs, Common},
+    args::{BackendChoice, BenchArgs, Common},
     failure::Failure,
 };
 use kiln_bench::BenchError;
+use kiln_worker::tasks::Backend;
 
 pub(crate) fn run(args: &BenchArgs, common: &Common) -> Result<(), Failure> {
     super::use_threads(common)?;
-    args.bench.run().map_err(|error| match error {
+    // Measurements are of the CPU unless a graphics card is asked for: `auto` would make them differ by machine.
+    let backend = match common.backend {
+        BackendChoice::Gpu => super::choose_backend(common)?,
+        BackendChoice::Auto | BackendChoice::Cpu => Backend::Cpu,
+    };
+    args.bench.run(&backend).map_err(|error| match error {
         BenchError::Import { .. } | BenchError::File { .. } => Failure::refused(error.to_string()),
         BenchError::Usage(_) => Failure::new(crate::failure::USAGE, error.to_string()),
         BenchError::Failed { .. } => Failure::new(crate::failure::FAILED, error.to_string()),

@@ -5,14 +5,14 @@ const HALF_WIDTH: f64 = 1.6;
 
 /// A range of positive numbers on a logarithmic axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Axis {
+pub(crate) struct Axis {
     low: f64,
     high: f64,
 }
 
 impl Axis {
     /// Holds all the values, with a little room; wide enough for a tick.
-    pub(super) fn around(values: impl Iterator<Item = f64>) -> Option<Self> {
+    pub(crate) fn around(values: impl Iterator<Item = f64>) -> Option<Self> {
         let usable = values.filter(|v| v.is_finite() && *v > 0.0);
         let (low, high) = usable.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), v| (low.min(v), high.max(v)));
         if high == 0.0 {
@@ -24,12 +24,12 @@ impl Axis {
     }
 
     /// Where a value lies, from 0 to 1.
-    pub(super) fn place(&self, value: f64) -> f64 {
+    pub(crate) fn place(&self, value: f64) -> f64 {
         (value / self.low).ln() / (self.high / self.low).ln()
     }
 
     /// Values to mark: 1, 2 and 5 in each decade, or the decades alone where those would be too many.
-    pub(super) fn ticks(&self) -> Vec<f64> {
+    pub(crate) fn ticks(&self) -> Vec<f64> {
         let (first, last) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
         let all = |steps: &[f64]| -> Vec<f64> {
             let decades = (first..=last).flat_map(|decade| steps.iter().map(move |step| step * 10f64.powi(decade)));
@@ -41,7 +41,7 @@ impl Axis {
 }
 
 /// A tick's label: as many decimals as it needs.
-pub(super) fn label(value: f64) -> String {
+pub(crate) fn label(value: f64) -> String {
     let decimals = (-value.log10().floor()).max(0.0) as usize;
     format!("{value:.decimals$}")
 }
