@@ -9,6 +9,7 @@ use crate::{
 use glam::{DVec3, Vec3, Vec3A};
 use kiln_core::{Bounds, Mesh};
 use obvhs::aabb::Aabb;
+use rayon::prelude::*;
 
 /// A mesh's occluding faces in a BVH whose leaves are triangles that are tested side by side.
 ///
@@ -29,7 +30,7 @@ impl MeshBvh {
     pub fn build(mesh: &Mesh) -> Self {
         let occluders = occluders(mesh);
         let boxes: Vec<Aabb> = occluders
-            .iter()
+            .par_iter()
             .map(|o| {
                 let [a, b, c] = o.corners.map(Vec3A::from);
                 Aabb { min: a.min(b).min(c), max: a.max(b).max(c) }
@@ -88,29 +89,45 @@ struct Occluder {
 }
 
 fn occluders(mesh: &Mesh) -> Vec<Occluder> {
-    let mut keyed: Vec<([[u32; 3]; 3], bool, u32)> = (0..mesh.faces.len() as u32)
+    // Faces of equal corners have equal hashes, so that only those few are compared corner by corner.
+    let mut hashed: Vec<(u64, u32)> = (0..mesh.faces.len() as u32)
+        .into_par_iter()
         .filter(|&face| mesh.group(face as usize).occludes)
-        .map(|face| {
+        .map(|face| (hash(&corner_key(mesh.corners(face as usize)).0), face))
+        .collect();
+    hashed.par_sort_unstable();
+    let is_double_sided = |face: u32| mesh.group(face as usize).double_sided;
+    let mut faces: Vec<(u32, bool)> = Vec::with_capacity(hashed.len());
+    for same in hashed.chunk_by(|a, b| a.0 == b.0) {
+        if let [(_, face)] = same {
+            faces.push((*face, is_double_sided(*face)));
+            continue;
+        }
+        let keyed = |&(_, face): &(u64, u32)| {
             let (key, is_even) = corner_key(mesh.corners(face as usize));
             (key, is_even, face)
-        })
-        .collect();
-    keyed.sort_unstable();
-    let mut faces: Vec<(u32, bool)> = keyed
-        .chunk_by(|a, b| a.0 == b.0)
-        .filter_map(|same| {
-            let first = same.iter().map(|&(.., face)| face).min()?;
+        };
+        let mut keyed: Vec<_> = same.iter().map(keyed).collect();
+        keyed.sort_unstable();
+        for same in keyed.chunk_by(|a, b| a.0 == b.0) {
+            let Some(first) = same.iter().map(|&(.., face)| face).min() else { continue };
             let is_facing_both = same.iter().any(|&(_, is_even, _)| is_even != same[0].1);
-            let is_double_sided = same.iter().any(|&(.., face)| mesh.group(face as usize).double_sided);
-            Some((first, is_facing_both || is_double_sided))
-        })
-        .collect();
-    faces.sort_unstable();
+            faces.push((first, is_facing_both || same.iter().any(|&(.., face)| is_double_sided(face))));
+        }
+    }
+    faces.par_sort_unstable();
     let occluder = |(face, two_sided): (u32, bool)| Occluder {
         corners: mesh.corners(face as usize),
         primitive: face | if two_sided { TWO_SIDED_BIT } else { 0 },
     };
-    faces.into_iter().map(occluder).collect()
+    faces.into_par_iter().map(occluder).collect()
+}
+
+/// Mixes the words of a key (the multiplier is that of Knuth's linear congruential generator, MMIX).
+fn hash(key: &[[u32; 3]; 3]) -> u64 {
+    let mix = |hash: u64, word: &u32| (hash.rotate_left(23) ^ u64::from(*word)).wrapping_mul(6_364_136_223_846_793_005);
+    let hash = key.iter().flatten().fold(0, mix);
+    hash ^ hash >> 32
 }
 
 /// The corners' bits in an order that does not depend on the winding, and whether that order is an even
