@@ -43,7 +43,8 @@ impl TaskKind {
     /// other revisions are never taken for its own. A golden test in the kind's crate fails otherwise.
     pub const fn kernel_rev(self) -> u32 {
         match self {
-            Self::Import | Self::Plan | Self::Trace | Self::Solve | Self::Export => 3,
+            Self::Import | Self::Plan | Self::Solve | Self::Export => 3,
+            Self::Trace => 4,
         }
     }
 

@@ -154,7 +154,7 @@ pub(crate) mod tests {
 
         /// The device's box test, in the same arithmetic.
         fn is_entered(&self, slot: usize, origin: Vec3, direction: Vec3, t_max: f32) -> bool {
-            let (mut near, mut far) = (0f32, t_max * 1.000_000_6);
+            let (mut near, mut far) = (0f32, t_max * 1.000_1);
             for axis in 0..3 {
                 let d = direction[axis];
                 let inverse = 1.0 / if d.abs() < 1e-18 { 1e-18f32.copysign(d) } else { d };

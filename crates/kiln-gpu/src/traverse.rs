@@ -103,7 +103,7 @@ struct Layout {
 impl Layout {
     fn of(scene: &Scene) -> Self {
         let top = if scene.is_empty() { WideTree::default() } else { widen(scene) };
-        let of_mesh = |mesh: &MeshBvh| if mesh.bounds.is_empty() { WideTree::default() } else { widen(mesh) };
+        let of_mesh = |mesh: &MeshBvh| if mesh.is_empty() { WideTree::default() } else { widen(mesh) };
         let meshes: Vec<WideTree> = scene.meshes.iter().map(|mesh| of_mesh(mesh)).collect();
         let mut at = top.nodes.len() as u64 * NODE_WORDS;
         let mut starts = Vec::with_capacity(meshes.len());

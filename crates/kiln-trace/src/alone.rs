@@ -5,8 +5,8 @@ use crate::{
     lanes::Lanes,
     mesh_bvh::MeshBvh,
     node::{BvhLink, LEAF_BIT, MAX_STACK, WideNode},
-    path::Kernels,
-    ray::{TracedRay, WIDEN},
+    path::{Compiled, Kernel},
+    ray::{HIT_SLACK, TracedRay, WIDEN},
     triangle::{LeafHits, TWO_SIDED_BIT},
 };
 
@@ -23,7 +23,7 @@ pub(crate) type Stack = [Waiting; 2 * MAX_STACK];
 /// What the leaves of a tree hold.
 pub(crate) trait Leaves {
     /// Takes note of what a ray hits in a leaf. `stack` is free to use.
-    fn visit<V: Kernels, const ANY: bool>(
+    fn visit<V: Compiled, const ANY: bool>(
         &self,
         first: u32,
         count: u32,
@@ -42,7 +42,7 @@ pub(crate) struct MeshLeaves<'a> {
 
 impl Leaves for MeshLeaves<'_> {
     #[inline(always)]
-    fn visit<V: Kernels, const ANY: bool>(
+    fn visit<V: Compiled, const ANY: bool>(
         &self,
         first: u32,
         count: u32,
@@ -50,17 +50,24 @@ impl Leaves for MeshLeaves<'_> {
         best: &mut Hit,
         _: &mut [Waiting],
     ) {
-        let hits = self.mesh.triangles.intersect::<V>(first, count, ray, best.t);
-        if hits.mask != 0 {
-            self.record(first, count, &hits, best);
-        }
+        self.test::<V>(first, count, ray, best);
     }
 }
 
 impl MeshLeaves<'_> {
+    /// Takes note of what a ray hits in a leaf; whether anything was hit that is not behind the best.
+    #[inline(always)]
+    pub(crate) fn test<V: Compiled>(&self, first: u32, count: u32, ray: &TracedRay, best: &mut Hit) -> bool {
+        let hits = self.mesh.triangles.intersect::<V>(first, count, ray, best.t);
+        if hits.mask != 0 {
+            self.record(first, count, &hits, best);
+        }
+        hits.mask != 0
+    }
+
     /// Keeps the first of the hits by the tie rule.
     #[inline(always)]
-    pub(crate) fn record(&self, first: u32, count: u32, hits: &LeafHits, best: &mut Hit) {
+    fn record(&self, first: u32, count: u32, hits: &LeafHits, best: &mut Hit) {
         let mut mask = hits.mask;
         while mask != 0 {
             let lane = mask.trailing_zeros();
@@ -83,7 +90,7 @@ fn precedes(hit: &Hit, best: &Hit) -> bool {
     hit.t < best.t || (hit.t == best.t && key(hit) < key(best))
 }
 
-/// Entry distance of each child's box, and the children that are entered before `t_max`, times [`WIDEN`].
+/// Entry distance of each child's box, and the children that are entered before `t_max`, times [`HIT_SLACK`].
 #[inline(always)]
 fn enter<V: Lanes>(node: &WideNode, ray: &TracedRay, t_max: f32) -> ([f32; 8], u32) {
     let mut near = V::splat(0.0);
@@ -95,65 +102,70 @@ fn enter<V: Lanes>(node: &WideNode, ray: &TracedRay, t_max: f32) -> ([f32; 8], u
         near = near_plane.sub(origin).mul(inverse).max(near);
         far = far_plane.sub(origin).mul(inverse).min(far);
     }
-    let far = far.mul(V::splat(WIDEN)).min(V::splat(t_max * WIDEN));
+    let far = far.mul(V::splat(WIDEN)).min(V::splat(t_max * HIT_SLACK));
     let mut distances = [0.0; 8];
     near.store(&mut distances);
     (distances, V::bits(near.le(far)))
 }
 
-/// Takes a ray to the leaves that it enters before its closest hit, near ones first, from a node or leaf on. With `ANY` it
-/// ends at the first hit.
-#[inline(always)]
-pub(crate) fn walk<V: Kernels, L: Leaves, const ANY: bool>(
-    nodes: &[WideNode],
-    leaves: &L,
-    start: u32,
-    ray: &TracedRay,
-    best: &mut Hit,
-    stack: &mut [Waiting],
-) {
-    let mut top = 0;
-    let mut current = start;
-    if nodes.is_empty() {
-        return;
-    }
-    loop {
-        if current & LEAF_BIT == 0 {
-            let node = &nodes[current as usize];
-            let (near, mut mask) = enter::<V>(node, ray, best.t);
-            if mask != 0 {
-                let bottom = top;
-                while mask != 0 {
-                    let slot = mask.trailing_zeros() as usize & 7;
-                    mask &= mask - 1;
-                    // Insertion keeps the nearest of this node's children on top.
-                    let waiting = Waiting { reference: node.children[slot], near: near[slot] };
-                    let mut at = top;
-                    while at > bottom && stack[at - 1].near < waiting.near {
-                        stack[at] = stack[at - 1];
-                        at -= 1;
-                    }
-                    stack[at] = waiting;
-                    top += 1;
-                }
-                top -= 1;
-                current = stack[top].reference;
-                continue;
-            }
-        } else if let BvhLink::Leaf { first, count } = BvhLink::of_reference(current) {
-            leaves.visit::<V, ANY>(first, count, ray, best, &mut stack[top..]);
-            if ANY && best.instance != u32::MAX {
-                return;
-            }
+/// Takes a ray to the leaves that it enters before its closest hit, near ones first, from a node on. With `ANY` it ends at the
+/// first hit.
+pub(crate) struct Walk<'a, L, const ANY: bool> {
+    pub(crate) nodes: &'a [WideNode],
+    pub(crate) leaves: &'a L,
+    pub(crate) start: u32,
+    pub(crate) ray: &'a TracedRay,
+    pub(crate) best: &'a mut Hit,
+    pub(crate) stack: &'a mut [Waiting],
+}
+
+impl<L: Leaves, const ANY: bool> Kernel for Walk<'_, L, ANY> {
+    #[inline(always)]
+    fn run<V: Compiled>(self) {
+        let Self { nodes, leaves, start, ray, best, stack } = self;
+        let mut top = 0;
+        let mut current = start;
+        if nodes.is_empty() {
+            return;
         }
         loop {
-            if top == 0 {
-                return;
+            if current & LEAF_BIT == 0 {
+                let node = &nodes[current as usize];
+                let (near, mut mask) = enter::<V>(node, ray, best.t);
+                if mask != 0 {
+                    let bottom = top;
+                    while mask != 0 {
+                        let slot = mask.trailing_zeros() as usize & 7;
+                        mask &= mask - 1;
+                        // Insertion keeps the nearest of this node's children on top.
+                        let waiting = Waiting { reference: node.children[slot], near: near[slot] };
+                        let mut at = top;
+                        while at > bottom && stack[at - 1].near < waiting.near {
+                            stack[at] = stack[at - 1];
+                            at -= 1;
+                        }
+                        stack[at] = waiting;
+                        top += 1;
+                    }
+                    top -= 1;
+                    current = stack[top].reference;
+                    continue;
+                }
+            } else if let BvhLink::Leaf { first, count } = BvhLink::of_reference(current) {
+                leaves.visit::<V, ANY>(first, count, ray, best, &mut stack[top..]);
+                if ANY && best.instance != u32::MAX {
+                    return;
+                }
             }
-            top -= 1;
-            if stack[top].near <= best.t * WIDEN {
-                current = stack[top].reference;
-                break;
+            loop {
+                if top == 0 {
+                    return;
+                }
+                top -= 1;
+                if stack[top].near <= best.t * HIT_SLACK {
+                    current = stack[top].reference;
+                    break;
+                }
             }
         }
     }

@@ -1,19 +1,13 @@
-//! Lanes in AVX2 registers, and the kernels compiled for them.
+//! Lanes in AVX2 registers, and what compiles kernels for them.
 //!
-//! All unsafe code of the tracer that has to do with instructions is here. An [`Avx2`] exists only inside the kernels
-//! below, whose entries are called only where the processor was found to have the instructions.
+//! All unsafe code of the tracer is here. An [`Avx2`] exists only inside kernels that [`run`] has started, which asks the
+//! processor first.
 
 #![expect(unsafe_code, reason = "instructions that not every processor has")]
 
 use crate::{
-    CosineSums, Hit, Ray, Scene, SurfaceSample,
-    alone::{self, MeshLeaves, Waiting},
-    bundle::{self, Hits, Memory, Rays},
     lanes::Lanes,
-    levels::{self, MeshBundle, SceneAlone, Workspace},
-    path::Kernels,
-    ray::TracedRay,
-    stream::{self, Gather},
+    path::{Compiled, Kernel},
 };
 use std::arch::x86_64::*;
 
@@ -125,7 +119,7 @@ impl Lanes for Avx2 {
     }
 }
 
-/// Whether the processor has what the kernels below are compiled for.
+/// Whether the processor has what kernels are compiled for here.
 pub(crate) fn is_available() -> bool {
     is_x86_feature_detected!("avx2")
         && is_x86_feature_detected!("bmi1")
@@ -134,147 +128,26 @@ pub(crate) fn is_available() -> bool {
         && is_x86_feature_detected!("popcnt")
 }
 
-impl Kernels for Avx2 {
+impl Compiled for Avx2 {
     #[inline(always)]
-    fn trace_bundle<const ANY: bool, const SHARED: bool>(scene: &Scene, count: usize, workspace: &mut Workspace) {
-        // SAFETY: as in `walk_mesh`.
-        unsafe { trace_bundle::<ANY, SHARED>(scene, count, workspace) }
-    }
-
-    #[inline(always)]
-    fn walk_mesh<const ANY: bool, const SHARED: bool>(
-        leaves: &mut MeshBundle<'_>,
-        rays: &Rays,
-        mask: u64,
-        hits: &mut Hits,
-        memory: &mut Memory,
-    ) {
-        // SAFETY: called only from the kernels below, which run where the processor has the instructions.
-        unsafe { walk_mesh::<ANY, SHARED>(leaves, rays, mask, hits, memory) }
-    }
-
-    #[inline(always)]
-    fn walk_mesh_alone<const ANY: bool>(
-        leaves: &MeshLeaves<'_>,
-        start: u32,
-        ray: &TracedRay,
-        best: &mut Hit,
-        stack: &mut [Waiting],
-    ) {
-        // SAFETY: as in `walk_mesh`.
-        unsafe { walk_mesh_alone::<ANY>(leaves, start, ray, best, stack) }
-    }
-
-    #[inline(always)]
-    fn walk_scene_alone<const ANY: bool>(
-        leaves: &SceneAlone<'_>,
-        start: u32,
-        ray: &TracedRay,
-        best: &mut Hit,
-        stack: &mut [Waiting],
-    ) {
-        // SAFETY: as in `walk_mesh`.
-        unsafe { walk_scene_alone::<ANY>(leaves, start, ray, best, stack) }
+    fn compiled<K: Kernel>(kernel: K) {
+        // SAFETY: only kernels that `run` has started have Avx2 for their lanes.
+        unsafe { compiled(kernel) }
     }
 }
 
 #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-fn trace_bundle<const ANY: bool, const SHARED: bool>(scene: &Scene, count: usize, workspace: &mut Workspace) {
-    levels::trace_bundle::<Avx2, ANY, SHARED>(scene, count, workspace);
+fn compiled<K: Kernel>(kernel: K) {
+    kernel.run::<Avx2>();
 }
 
-#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-fn walk_mesh<const ANY: bool, const SHARED: bool>(
-    leaves: &mut MeshBundle<'_>,
-    rays: &Rays,
-    mask: u64,
-    hits: &mut Hits,
-    memory: &mut Memory,
-) {
-    let mesh = leaves.mesh.mesh;
-    bundle::walk::<Avx2, _, ANY, SHARED>(&mesh.nodes, leaves, rays, mask, hits, memory);
-}
-
-#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-fn walk_mesh_alone<const ANY: bool>(
-    leaves: &MeshLeaves<'_>,
-    start: u32,
-    ray: &TracedRay,
-    best: &mut Hit,
-    stack: &mut [Waiting],
-) {
-    alone::walk::<Avx2, _, ANY>(&leaves.mesh.nodes, leaves, start, ray, best, stack);
-}
-
-#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-fn walk_scene_alone<const ANY: bool>(
-    leaves: &SceneAlone<'_>,
-    start: u32,
-    ray: &TracedRay,
-    best: &mut Hit,
-    stack: &mut [Waiting],
-) {
-    alone::walk::<Avx2, _, ANY>(&leaves.scene.nodes, leaves, start, ray, best, stack);
-}
-
-#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-fn trace_in(scene: &Scene, rays: &[Ray], hits: &mut [Hit], workspace: &mut Workspace) {
-    stream::trace::<Avx2, _>(scene, rays, hits, workspace);
-}
-
-#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-fn any_hit_in(scene: &Scene, rays: &[Ray], blocked: &mut [bool], workspace: &mut Workspace) {
-    stream::trace::<Avx2, _>(scene, rays, blocked, workspace);
-}
-
-#[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-fn gather_in(gather: &Gather<'_>, samples: &[SurfaceSample], sums: &mut [CosineSums], workspace: &mut Workspace) {
-    gather.run::<Avx2>(samples, sums, workspace);
-}
-
-/// As [`stream::trace`]; false where the processor lacks the instructions.
-pub(crate) fn trace(scene: &Scene, rays: &[Ray], hits: &mut [Hit], workspace: &mut Workspace) -> bool {
+/// Runs a kernel.
+///
+/// # Panics
+///
+/// Where the processor lacks the instructions.
+pub(crate) fn run<K: Kernel>(kernel: K) {
+    assert!(is_available(), "the caller has asked");
     // SAFETY: the instructions are available.
-    is_available() && {
-        unsafe { trace_in(scene, rays, hits, workspace) };
-        true
-    }
-}
-
-/// As [`stream::trace`] for any hit; false where the processor lacks the instructions.
-pub(crate) fn any_hit(scene: &Scene, rays: &[Ray], blocked: &mut [bool], workspace: &mut Workspace) -> bool {
-    // SAFETY: the instructions are available.
-    is_available() && {
-        unsafe { any_hit_in(scene, rays, blocked, workspace) };
-        true
-    }
-}
-
-/// As [`Gather::run`]; false where the processor lacks the instructions.
-pub(crate) fn gather(
-    gather: &Gather<'_>,
-    samples: &[SurfaceSample],
-    sums: &mut [CosineSums],
-    workspace: &mut Workspace,
-) -> bool {
-    // SAFETY: the instructions are available.
-    is_available() && {
-        unsafe { gather_in(gather, samples, sums, workspace) };
-        true
-    }
-}
-
-#[cfg(test)]
-pub(crate) mod tests {
-    use super::*;
-
-    /// What the lanes do, where the processor has them.
-    pub(crate) fn agree(a: [f32; 8], b: [f32; 8], bytes: &[u8; 64]) -> Option<Vec<[u32; 8]>> {
-        #[target_feature(enable = "avx2,bmi1,bmi2,lzcnt,popcnt")]
-        fn inside(a: [f32; 8], b: [f32; 8], bytes: &[u8; 64]) -> Vec<[u32; 8]> {
-            crate::lanes::tests::agree::<Avx2>(a, b, bytes)
-        }
-        // SAFETY: the instructions are available.
-        is_available().then(|| unsafe { inside(a, b, bytes) })
-    }
+    unsafe { compiled(kernel) }
 }

@@ -11,14 +11,14 @@
 //! are never copied; a child's turn is by the first ray that enters it, its rays are tested again by the distances that
 //! were kept when its turn comes.
 //!
-//! The order of visits changes no result: see `WIDEN` in [`crate::ray`] and the tie rule.
+//! The order of visits changes no result: see `WIDEN` and `HIT_SLACK` in [`crate::ray`] and the tie rule.
 
 use crate::{
     Hit,
     lanes::Lanes,
     node::{BvhLink, LEAF_BIT, MAX_DEPTH, MAX_STACK, WideNode},
-    path::Kernels,
-    ray::{TracedRay, WIDEN},
+    path::{Compiled, Kernel},
+    ray::{HIT_SLACK, TracedRay, WIDEN},
 };
 
 /// Rays of a bundle.
@@ -89,74 +89,79 @@ impl Hits {
     #[inline(always)]
     pub(crate) fn set<const ANY: bool>(&mut self, ray: usize, hit: Hit) {
         self.best[ray % BUNDLE] = hit;
-        self.reach[ray % BUNDLE] = if ANY && hit.instance != u32::MAX { -1.0 } else { hit.t * WIDEN };
+        self.reach[ray % BUNDLE] = if ANY && hit.instance != u32::MAX { -1.0 } else { hit.t * HIT_SLACK };
     }
 }
 
 /// What the leaves of a tree hold, for bundles.
 pub(crate) trait BundleLeaves {
     /// Asks for a leaf that will be visited soon.
-    fn prefetch<V: Kernels>(&self, first: u32);
+    fn prefetch<V: Compiled>(&self, first: u32);
 
     /// Takes note of what the rays of a mask hit in a leaf.
-    fn visit<V: Kernels, const ANY: bool>(&mut self, first: u32, count: u32, mask: u64, rays: &Rays, hits: &mut Hits);
+    fn visit<V: Compiled, const ANY: bool>(&mut self, first: u32, count: u32, mask: u64, rays: &Rays, hits: &mut Hits);
 
     /// Takes one ray on alone from a node.
-    fn walk_alone<V: Kernels, const ANY: bool>(&mut self, start: u32, ray: usize, rays: &Rays, hits: &mut Hits);
+    fn walk_alone<V: Compiled, const ANY: bool>(&mut self, start: u32, ray: usize, rays: &Rays, hits: &mut Hits);
 }
 
 /// Takes the rays of a mask to the leaves that they enter before their closest hits, near ones first. With `SHARED` they all
-/// have the same origin, which costs less.
-#[inline(always)]
-pub(crate) fn walk<V: Kernels, L: BundleLeaves, const ANY: bool, const SHARED: bool>(
-    nodes: &[WideNode],
-    leaves: &mut L,
-    rays: &Rays,
-    mask: u64,
-    hits: &mut Hits,
-    memory: &mut Memory,
-) {
-    let (mut current, mut mask, mut depth, mut top) = (0, mask, 0, 0);
-    if nodes.is_empty() || mask == 0 {
-        return;
-    }
-    loop {
-        match BvhLink::of_reference(current) {
-            BvhLink::Node(index) => {
-                let node = &nodes[index as usize];
-                let bottom = top;
-                top = enter::<V, SHARED>(node, rays, mask, hits, depth, memory, top);
-                for waiting in &memory.waiting[bottom..top] {
-                    match BvhLink::of_reference(waiting.reference) {
-                        BvhLink::Node(index) => {
-                            V::prefetch(nodes.get(index as usize..=index as usize).unwrap_or_default());
-                        }
-                        BvhLink::Leaf { first, .. } => leaves.prefetch::<V>(first),
-                    }
-                }
-            }
-            BvhLink::Leaf { first, count } => leaves.visit::<V, ANY>(first, count, mask, rays, hits),
+/// have the same origin, which costs less; with `ANY` each ends at its first hit.
+pub(crate) struct Walk<'a, L, const ANY: bool, const SHARED: bool> {
+    pub(crate) nodes: &'a [WideNode],
+    pub(crate) leaves: &'a mut L,
+    pub(crate) rays: &'a Rays,
+    pub(crate) mask: u64,
+    pub(crate) hits: &'a mut Hits,
+    pub(crate) memory: &'a mut Memory,
+}
+
+impl<L: BundleLeaves, const ANY: bool, const SHARED: bool> Kernel for Walk<'_, L, ANY, SHARED> {
+    #[inline(always)]
+    fn run<V: Compiled>(self) {
+        let Self { nodes, leaves, rays, mask, hits, memory } = self;
+        let (mut current, mut mask, mut depth, mut top) = (0, mask, 0, 0);
+        if nodes.is_empty() || mask == 0 {
+            return;
         }
         loop {
-            if top == 0 {
-                return;
-            }
-            top -= 1;
-            let next = memory.waiting[top];
-            mask = still_entered(&memory.distances[usize::from(next.depth)], &next, hits);
-            if mask == 0 {
-                continue;
-            }
-            if next.reference & LEAF_BIT == 0 && mask.count_ones() <= FEW {
-                while mask != 0 {
-                    let ray = mask.trailing_zeros() as usize;
-                    mask &= mask - 1;
-                    leaves.walk_alone::<V, ANY>(next.reference, ray, rays, hits);
+            match BvhLink::of_reference(current) {
+                BvhLink::Node(index) => {
+                    let node = &nodes[index as usize];
+                    let bottom = top;
+                    top = enter::<V, SHARED>(node, rays, mask, hits, depth, memory, top);
+                    for waiting in &memory.waiting[bottom..top] {
+                        match BvhLink::of_reference(waiting.reference) {
+                            BvhLink::Node(index) => {
+                                V::prefetch(nodes.get(index as usize..=index as usize).unwrap_or_default());
+                            }
+                            BvhLink::Leaf { first, .. } => leaves.prefetch::<V>(first),
+                        }
+                    }
                 }
-                continue;
+                BvhLink::Leaf { first, count } => leaves.visit::<V, ANY>(first, count, mask, rays, hits),
             }
-            (current, depth) = (next.reference, usize::from(next.depth) + 1);
-            break;
+            loop {
+                if top == 0 {
+                    return;
+                }
+                top -= 1;
+                let next = memory.waiting[top];
+                mask = still_entered(&memory.distances[usize::from(next.depth)], &next, hits);
+                if mask == 0 {
+                    continue;
+                }
+                if next.reference & LEAF_BIT == 0 && mask.count_ones() <= FEW {
+                    while mask != 0 {
+                        let ray = mask.trailing_zeros() as usize;
+                        mask &= mask - 1;
+                        leaves.walk_alone::<V, ANY>(next.reference, ray, rays, hits);
+                    }
+                    continue;
+                }
+                (current, depth) = (next.reference, usize::from(next.depth) + 1);
+                break;
+            }
         }
     }
 }

@@ -3,9 +3,8 @@
 use crate::{
     CosineSums, Hit, KernelRates, Path, Ray, Scene, SurfaceSample, TraceError, Tracer,
     bundle::BUNDLE,
-    lanes::Portable,
     levels::Workspace,
-    stream::{self, Gather},
+    stream::{Answer, Gather, Trace},
 };
 use rayon::prelude::*;
 use std::{cell::RefCell, slice, sync::Arc};
@@ -46,39 +45,19 @@ impl CpuTracer {
     /// Closest hit; at equal distances front faces come first, then the lowest instance, then the lowest face.
     pub fn closest_hit(&self, ray: &Ray) -> Hit {
         let mut hit = Hit::MISS;
-        WORKSPACE
-            .with_borrow_mut(|workspace| self.trace_run(slice::from_ref(ray), slice::from_mut(&mut hit), workspace));
+        self.run(slice::from_ref(ray), slice::from_mut(&mut hit));
         hit
     }
 
-    fn trace_run(&self, rays: &[Ray], hits: &mut [Hit], workspace: &mut Workspace) {
-        #[cfg(target_arch = "x86_64")]
-        if self.path == Path::Avx2 && crate::avx2::trace(&self.scene, rays, hits, workspace) {
-            return;
-        }
-        stream::trace::<Portable, _>(&self.scene, rays, hits, workspace);
+    /// Traces a run of rays on this thread.
+    fn run<A: Answer>(&self, rays: &[Ray], answers: &mut [A]) {
+        WORKSPACE.with_borrow_mut(|workspace| self.path.run(Trace { scene: &self.scene, rays, answers, workspace }));
     }
 
-    fn any_hit_run(&self, rays: &[Ray], blocked: &mut [bool], workspace: &mut Workspace) {
-        #[cfg(target_arch = "x86_64")]
-        if self.path == Path::Avx2 && crate::avx2::any_hit(&self.scene, rays, blocked, workspace) {
-            return;
-        }
-        stream::trace::<Portable, _>(&self.scene, rays, blocked, workspace);
-    }
-
-    fn gather_run(
-        &self,
-        gather: &Gather<'_>,
-        samples: &[SurfaceSample],
-        sums: &mut [CosineSums],
-        workspace: &mut Workspace,
-    ) {
-        #[cfg(target_arch = "x86_64")]
-        if self.path == Path::Avx2 && crate::avx2::gather(gather, samples, sums, workspace) {
-            return;
-        }
-        gather.run::<Portable>(samples, sums, workspace);
+    /// Traces rays on all threads.
+    fn run_all<A: Answer + Send>(&self, rays: &[Ray], answers: &mut [A]) {
+        let chunks = rays.par_chunks(RAYS_PER_TASK).zip(answers.par_chunks_mut(RAYS_PER_TASK));
+        chunks.for_each(|(rays, answers)| self.run(rays, answers));
     }
 }
 
@@ -90,25 +69,23 @@ impl Tracer for CpuTracer {
         rays_per_sample: u32,
         sums: &mut [CosineSums],
     ) -> Result<(), TraceError> {
-        let gather = Gather { scene: &self.scene, kernel, rays_per_sample };
+        let scene = &*self.scene;
         let chunks = samples.par_chunks(SAMPLES_PER_TASK).zip(sums.par_chunks_mut(SAMPLES_PER_TASK));
         chunks.for_each(|(samples, sums)| {
-            WORKSPACE.with_borrow_mut(|workspace| self.gather_run(&gather, samples, sums, workspace));
+            WORKSPACE.with_borrow_mut(|workspace| {
+                self.path.run(Gather { scene, kernel, rays_per_sample, samples, sums, workspace });
+            });
         });
         Ok(())
     }
 
     fn trace(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<(), TraceError> {
-        let chunks = rays.par_chunks(RAYS_PER_TASK).zip(hits.par_chunks_mut(RAYS_PER_TASK));
-        chunks.for_each(|(rays, hits)| WORKSPACE.with_borrow_mut(|workspace| self.trace_run(rays, hits, workspace)));
+        self.run_all(rays, hits);
         Ok(())
     }
 
     fn any_hit(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<(), TraceError> {
-        let chunks = rays.par_chunks(RAYS_PER_TASK).zip(blocked.par_chunks_mut(RAYS_PER_TASK));
-        chunks.for_each(|(rays, blocked)| {
-            WORKSPACE.with_borrow_mut(|workspace| self.any_hit_run(rays, blocked, workspace));
-        });
+        self.run_all(rays, blocked);
         Ok(())
     }
 }

@@ -2,10 +2,10 @@
 
 use crate::{
     Hit, Scene,
-    alone::{Leaves, MeshLeaves, Stack, Waiting},
+    alone::{self, Leaves, MeshLeaves, Stack, Waiting},
     bundle::{self, BUNDLE, BundleLeaves, Hits, Memory, Rays},
-    node::MAX_STACK,
-    path::Kernels,
+    node::{MAX_STACK, WideNode},
+    path::{Compiled, Kernel},
     ray::TracedRay,
 };
 use glam::Vec3;
@@ -39,19 +39,26 @@ impl Workspace {
 }
 
 /// Traces the first `count` rays of the workspace, whose hits have been started.
-#[inline(always)]
-pub(crate) fn trace_bundle<V: Kernels, const ANY: bool, const SHARED: bool>(
-    scene: &Scene,
-    count: usize,
-    workspace: &mut Workspace,
-) {
-    let Workspace { origins, directions, hits, world, object, scene_memory, mesh_memory, stack } = workspace;
-    for ray in 0..count.min(BUNDLE) {
-        world[ray] = TracedRay::new(origins[ray], directions[ray]);
+pub(crate) struct TraceBundle<'a, const ANY: bool, const SHARED: bool> {
+    pub(crate) scene: &'a Scene,
+    pub(crate) count: usize,
+    pub(crate) workspace: &'a mut Workspace,
+}
+
+impl<const ANY: bool, const SHARED: bool> Kernel for TraceBundle<'_, ANY, SHARED> {
+    #[inline(always)]
+    fn run<V: Compiled>(self) {
+        let Self { scene, count, workspace } = self;
+        let Workspace { origins, directions, hits, world, object, scene_memory, mesh_memory, stack } = workspace;
+        for ray in 0..count.min(BUNDLE) {
+            world[ray] = TracedRay::new(origins[ray], directions[ray]);
+        }
+        let mask = u64::MAX >> (BUNDLE - count.clamp(1, BUNDLE));
+        let leaves = &mut SceneBundle::<SHARED> { scene, origins, directions, object, mesh_memory, stack };
+        let walk: bundle::Walk<'_, _, ANY, SHARED> =
+            bundle::Walk { nodes: &scene.nodes, leaves, rays: world, mask, hits, memory: scene_memory };
+        walk.run::<V>();
     }
-    let mask = u64::MAX >> (BUNDLE - count.clamp(1, BUNDLE));
-    let mut leaves = SceneBundle::<SHARED> { scene, origins, directions, object, mesh_memory, stack };
-    bundle::walk::<V, _, ANY, SHARED>(&scene.nodes, &mut leaves, world, mask, hits, scene_memory);
 }
 
 /// The instances of a scene, for a bundle of rays.
@@ -66,10 +73,10 @@ struct SceneBundle<'a, const SHARED: bool> {
 
 impl<const SHARED: bool> BundleLeaves for SceneBundle<'_, SHARED> {
     #[inline(always)]
-    fn prefetch<V: Kernels>(&self, _: u32) {}
+    fn prefetch<V: Compiled>(&self, _: u32) {}
 
     #[inline(always)]
-    fn visit<V: Kernels, const ANY: bool>(&mut self, first: u32, _: u32, mask: u64, rays: &Rays, hits: &mut Hits) {
+    fn visit<V: Compiled, const ANY: bool>(&mut self, first: u32, _: u32, mask: u64, rays: &Rays, hits: &mut Hits) {
         let instance = &self.scene.instances[first as usize];
         let mesh = MeshLeaves { mesh: &self.scene.meshes[instance.mesh as usize], instance: first };
         let rays = if instance.is_identity {
@@ -83,65 +90,78 @@ impl<const SHARED: bool> BundleLeaves for SceneBundle<'_, SHARED> {
             }
             &*self.object
         };
-        let mut leaves = MeshBundle { mesh, stack: self.stack };
-        V::walk_mesh::<ANY, SHARED>(&mut leaves, rays, mask, hits, self.mesh_memory);
+        let leaves = &mut MeshBundle { mesh, stack: self.stack };
+        let (nodes, memory) = (mesh.mesh.nodes.as_slice(), &mut *self.mesh_memory);
+        let walk: bundle::Walk<'_, _, ANY, SHARED> = bundle::Walk { nodes, leaves, rays, mask, hits, memory };
+        V::compiled(walk);
     }
 
     #[inline(always)]
-    fn walk_alone<V: Kernels, const ANY: bool>(&mut self, start: u32, ray: usize, rays: &Rays, hits: &mut Hits) {
+    fn walk_alone<V: Compiled, const ANY: bool>(&mut self, start: u32, ray: usize, rays: &Rays, hits: &mut Hits) {
         let (origin, direction) = (self.origins[ray % BUNDLE], self.directions[ray % BUNDLE]);
-        let leaves = SceneAlone { scene: self.scene, origin, direction };
-        let mut best = hits.get(ray);
-        V::walk_scene_alone::<ANY>(&leaves, start, &rays[ray % BUNDLE], &mut best, self.stack);
-        hits.set::<ANY>(ray, best);
+        let leaves = &SceneAlone { scene: self.scene, origin, direction };
+        go_alone::<V, _, ANY>(&self.scene.nodes, leaves, start, ray, rays, hits, self.stack);
     }
 }
 
+/// Takes one ray of a bundle on alone.
+#[inline(always)]
+fn go_alone<V: Compiled, L: Leaves, const ANY: bool>(
+    nodes: &[WideNode],
+    leaves: &L,
+    start: u32,
+    ray: usize,
+    rays: &Rays,
+    hits: &mut Hits,
+    stack: &mut Stack,
+) {
+    let mut best = hits.get(ray);
+    let ray_here = &rays[ray % BUNDLE];
+    V::compiled(alone::Walk::<_, ANY> { nodes, leaves, start, ray: ray_here, best: &mut best, stack });
+    hits.set::<ANY>(ray, best);
+}
+
 /// The triangles of a mesh, for a bundle of rays.
-pub(crate) struct MeshBundle<'a> {
-    pub(crate) mesh: MeshLeaves<'a>,
+struct MeshBundle<'a> {
+    mesh: MeshLeaves<'a>,
     stack: &'a mut Stack,
 }
 
 impl BundleLeaves for MeshBundle<'_> {
     #[inline(always)]
-    fn prefetch<V: Kernels>(&self, first: u32) {
+    fn prefetch<V: Compiled>(&self, first: u32) {
         self.mesh.mesh.triangles.prefetch::<V>(first);
     }
 
     #[inline(always)]
-    fn visit<V: Kernels, const ANY: bool>(&mut self, first: u32, count: u32, mask: u64, rays: &Rays, hits: &mut Hits) {
+    fn visit<V: Compiled, const ANY: bool>(&mut self, first: u32, count: u32, mask: u64, rays: &Rays, hits: &mut Hits) {
         let mut rest = mask;
         while rest != 0 {
             let ray = rest.trailing_zeros() as usize % BUNDLE;
             rest &= rest - 1;
             let mut best = hits.get(ray);
-            let found = self.mesh.mesh.triangles.intersect::<V>(first, count, &rays[ray], best.t);
-            if found.mask != 0 {
-                self.mesh.record(first, count, &found, &mut best);
+            if self.mesh.test::<V>(first, count, &rays[ray], &mut best) {
                 hits.set::<ANY>(ray, best);
             }
         }
     }
 
     #[inline(always)]
-    fn walk_alone<V: Kernels, const ANY: bool>(&mut self, start: u32, ray: usize, rays: &Rays, hits: &mut Hits) {
-        let mut best = hits.get(ray);
-        V::walk_mesh_alone::<ANY>(&self.mesh, start, &rays[ray % BUNDLE], &mut best, self.stack);
-        hits.set::<ANY>(ray, best);
+    fn walk_alone<V: Compiled, const ANY: bool>(&mut self, start: u32, ray: usize, rays: &Rays, hits: &mut Hits) {
+        go_alone::<V, _, ANY>(&self.mesh.mesh.nodes, &self.mesh, start, ray, rays, hits, self.stack);
     }
 }
 
 /// The instances of a scene, for one ray.
-pub(crate) struct SceneAlone<'a> {
-    pub(crate) scene: &'a Scene,
-    pub(crate) origin: Vec3,
-    pub(crate) direction: Vec3,
+struct SceneAlone<'a> {
+    scene: &'a Scene,
+    origin: Vec3,
+    direction: Vec3,
 }
 
 impl Leaves for SceneAlone<'_> {
     #[inline(always)]
-    fn visit<V: Kernels, const ANY: bool>(
+    fn visit<V: Compiled, const ANY: bool>(
         &self,
         first: u32,
         _: u32,
@@ -152,6 +172,7 @@ impl Leaves for SceneAlone<'_> {
         let instance = &self.scene.instances[first as usize];
         let mesh = MeshLeaves { mesh: &self.scene.meshes[instance.mesh as usize], instance: first };
         let ray = if instance.is_identity { *ray } else { instance.ray(self.origin, self.direction) };
-        V::walk_mesh_alone::<ANY>(&mesh, 0, &ray, best, stack);
+        let nodes = mesh.mesh.nodes.as_slice();
+        V::compiled(alone::Walk::<_, ANY> { nodes, leaves: &mesh, start: 0, ray: &ray, best, stack });
     }
 }

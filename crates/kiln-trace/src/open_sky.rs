@@ -22,8 +22,8 @@ pub fn is_open_above(scene: &Scene, origin: Vec3, normal: Vec3, reach: f32) -> b
         let offset = normal.dot(instance.point(origin));
         let inner = HalfSpace { normal, offset, near: None };
         any_above(&mesh.nodes, &inner, |first, count| {
-            (first..first + count).any(|index| {
-                let (corners, _) = mesh.triangle(index);
+            (0..count).any(|lane| {
+                let corners = mesh.triangles.corners(first, count, lane);
                 corners.iter().any(|corner| inner.normal.dot(*corner) > inner.offset)
             })
         })

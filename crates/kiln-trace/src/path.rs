@@ -1,13 +1,6 @@
 //! Which instructions the kernels are compiled for, chosen at run time.
 
-use crate::{
-    Hit, Scene,
-    alone::{self, MeshLeaves, Waiting},
-    bundle::{self, Hits, Memory, Rays},
-    lanes::{Lanes, Portable},
-    levels::{self, MeshBundle, SceneAlone, Workspace},
-    ray::TracedRay,
-};
+use crate::lanes::{Lanes, Portable};
 
 /// Instructions that the CPU tracer uses. Results are the same bits on all.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,74 +20,31 @@ impl Path {
         }
         Self::Portable
     }
+
+    /// Runs a kernel with these instructions, or portable ones where the processor lacks them.
+    pub(crate) fn run<K: Kernel>(self, kernel: K) {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 if crate::avx2::is_available() => crate::avx2::run(kernel),
+            _ => Portable::compiled(kernel),
+        }
+    }
 }
 
-/// The kernels that are compiled once for each path, instead of being inlined where they are called.
-pub(crate) trait Kernels: Lanes {
-    fn trace_bundle<const ANY: bool, const SHARED: bool>(scene: &Scene, count: usize, workspace: &mut Workspace);
-
-    fn walk_mesh<const ANY: bool, const SHARED: bool>(
-        leaves: &mut MeshBundle<'_>,
-        rays: &Rays,
-        mask: u64,
-        hits: &mut Hits,
-        memory: &mut Memory,
-    );
-
-    fn walk_mesh_alone<const ANY: bool>(
-        leaves: &MeshLeaves<'_>,
-        start: u32,
-        ray: &TracedRay,
-        best: &mut Hit,
-        stack: &mut [Waiting],
-    );
-
-    fn walk_scene_alone<const ANY: bool>(
-        leaves: &SceneAlone<'_>,
-        start: u32,
-        ray: &TracedRay,
-        best: &mut Hit,
-        stack: &mut [Waiting],
-    );
+/// Work that is written once for all lanes. `run` and all that it calls for each ray are inlined, up to the next kernel.
+pub(crate) trait Kernel {
+    fn run<V: Compiled>(self);
 }
 
-impl Kernels for Portable {
-    #[inline(never)]
-    fn trace_bundle<const ANY: bool, const SHARED: bool>(scene: &Scene, count: usize, workspace: &mut Workspace) {
-        levels::trace_bundle::<Self, ANY, SHARED>(scene, count, workspace);
-    }
+/// Lanes with the instructions that their kernels are compiled for.
+pub(crate) trait Compiled: Lanes {
+    /// Runs a kernel in a function of its own.
+    fn compiled<K: Kernel>(kernel: K);
+}
 
+impl Compiled for Portable {
     #[inline(never)]
-    fn walk_mesh<const ANY: bool, const SHARED: bool>(
-        leaves: &mut MeshBundle<'_>,
-        rays: &Rays,
-        mask: u64,
-        hits: &mut Hits,
-        memory: &mut Memory,
-    ) {
-        let mesh = leaves.mesh.mesh;
-        bundle::walk::<Self, _, ANY, SHARED>(&mesh.nodes, leaves, rays, mask, hits, memory);
-    }
-
-    #[inline(never)]
-    fn walk_mesh_alone<const ANY: bool>(
-        leaves: &MeshLeaves<'_>,
-        start: u32,
-        ray: &TracedRay,
-        best: &mut Hit,
-        stack: &mut [Waiting],
-    ) {
-        alone::walk::<Self, _, ANY>(&leaves.mesh.nodes, leaves, start, ray, best, stack);
-    }
-
-    #[inline(never)]
-    fn walk_scene_alone<const ANY: bool>(
-        leaves: &SceneAlone<'_>,
-        start: u32,
-        ray: &TracedRay,
-        best: &mut Hit,
-        stack: &mut [Waiting],
-    ) {
-        alone::walk::<Self, _, ANY>(&leaves.scene.nodes, leaves, start, ray, best, stack);
+    fn compiled<K: Kernel>(kernel: K) {
+        kernel.run::<Self>();
     }
 }

@@ -6,6 +6,11 @@ use glam::Vec3;
 /// traversal"), so that the closest hit is that of all triangles, whatever the tree.
 pub(crate) const WIDEN: f32 = 1.000_000_6;
 
+/// Widens the distance of a hit, whose error is that of the triangle test: the distances of boxes are better than that, and
+/// one that holds a nearer hit, or a tie, must not be left out. It suffices but for rays that graze a triangle from near
+/// by, in units of the triangle.
+pub(crate) const HIT_SLACK: f32 = 1.000_1;
+
 /// Directions shorter than this along an axis count as this long in box tests only, so that no 0 · ∞ occurs.
 const LEAST_DIRECTION: f32 = 1e-18;
 

@@ -1,8 +1,12 @@
 //! From streams of rays and samples to bundles, and from hits to sums.
 
 use crate::{
-    CosineSums, Hit, KernelRates, ONE, Ray, Scene, SurfaceSample, bundle::BUNDLE, directions::cosine_directions,
-    levels::Workspace, orthonormal_basis, path::Kernels,
+    CosineSums, Hit, KernelRates, ONE, Ray, Scene, SurfaceSample,
+    bundle::BUNDLE,
+    directions::cosine_directions,
+    levels::{TraceBundle, Workspace},
+    orthonormal_basis,
+    path::{Compiled, Kernel},
 };
 use glam::Vec3;
 
@@ -31,47 +35,55 @@ impl Answer for bool {
 }
 
 /// Traces rays in their order, as many at a time as a bundle holds.
-#[inline(always)]
-pub(crate) fn trace<V: Kernels, A: Answer>(scene: &Scene, rays: &[Ray], answers: &mut [A], workspace: &mut Workspace) {
-    for (rays, answers) in rays.chunks(BUNDLE).zip(answers.chunks_mut(BUNDLE)) {
-        let mut is_shared = true;
-        for (index, ray) in rays.iter().enumerate() {
-            workspace.origins[index] = ray.origin;
-            workspace.directions[index] = ray.direction;
-            workspace.hits.start(index, ray.t_max);
-            is_shared &= ray.origin == rays[0].origin;
-        }
-        match (A::ANY, is_shared) {
-            (false, false) => V::trace_bundle::<false, false>(scene, rays.len(), workspace),
-            (false, true) => V::trace_bundle::<false, true>(scene, rays.len(), workspace),
-            (true, false) => V::trace_bundle::<true, false>(scene, rays.len(), workspace),
-            (true, true) => V::trace_bundle::<true, true>(scene, rays.len(), workspace),
-        }
-        for (index, answer) in answers.iter_mut().enumerate() {
-            *answer = A::of(workspace.hits.get(index));
+pub(crate) struct Trace<'a, A> {
+    pub(crate) scene: &'a Scene,
+    pub(crate) rays: &'a [Ray],
+    pub(crate) answers: &'a mut [A],
+    pub(crate) workspace: &'a mut Workspace,
+}
+
+impl<A: Answer> Kernel for Trace<'_, A> {
+    #[inline(always)]
+    fn run<V: Compiled>(self) {
+        let Self { scene, rays, answers, workspace } = self;
+        for (rays, answers) in rays.chunks(BUNDLE).zip(answers.chunks_mut(BUNDLE)) {
+            let mut is_shared = true;
+            for (index, ray) in rays.iter().enumerate() {
+                workspace.origins[index] = ray.origin;
+                workspace.directions[index] = ray.direction;
+                workspace.hits.start(index, ray.t_max);
+                is_shared &= ray.origin == rays[0].origin;
+            }
+            let count = rays.len();
+            match (A::ANY, is_shared) {
+                (false, false) => V::compiled(TraceBundle::<false, false> { scene, count, workspace }),
+                (false, true) => V::compiled(TraceBundle::<false, true> { scene, count, workspace }),
+                (true, false) => V::compiled(TraceBundle::<true, false> { scene, count, workspace }),
+                (true, true) => V::compiled(TraceBundle::<true, true> { scene, count, workspace }),
+            }
+            for (index, answer) in answers.iter_mut().enumerate() {
+                *answer = A::of(workspace.hits.get(index));
+            }
         }
     }
 }
 
-/// How samples are gathered.
+/// Gathers samples in their order. Rays of several samples share a bundle where one has too few to fill it.
 pub(crate) struct Gather<'a> {
     pub(crate) scene: &'a Scene,
     pub(crate) kernel: &'a KernelRates,
     pub(crate) rays_per_sample: u32,
+    pub(crate) samples: &'a [SurfaceSample],
+    pub(crate) sums: &'a mut [CosineSums],
+    pub(crate) workspace: &'a mut Workspace,
 }
 
-impl Gather<'_> {
-    /// Gathers samples in their order. Rays of several samples share a bundle where one has too few to fill it.
+impl Kernel for Gather<'_> {
     #[inline(always)]
-    pub(crate) fn run<V: Kernels>(
-        &self,
-        samples: &[SurfaceSample],
-        sums: &mut [CosineSums],
-        workspace: &mut Workspace,
-    ) {
+    fn run<V: Compiled>(mut self) {
         let mut bundle = Bundle { owners: [0; BUNDLE], count: 0 };
-        for (index, sample) in samples.iter().enumerate() {
-            sums[index] = CosineSums::default();
+        for (index, sample) in self.samples.iter().enumerate() {
+            self.sums[index] = CosineSums::default();
             let basis = orthonormal_basis(sample.normal);
             let mut first = 0;
             while first < self.rays_per_sample {
@@ -79,9 +91,9 @@ impl Gather<'_> {
                 let directions = cosine_directions(start, sample.scramble, sample.normal, basis);
                 for direction in directions.iter().take((self.rays_per_sample - first) as usize) {
                     if direction.dot(sample.geometric) > 0.0 {
-                        bundle.push(index, sample.origin, *direction, self.kernel.t_max, workspace);
+                        bundle.push(index, sample.origin, *direction, self.kernel.t_max, self.workspace);
                         if bundle.count == BUNDLE {
-                            self.finish::<V>(&mut bundle, sums, workspace);
+                            self.finish::<V>(&mut bundle);
                         }
                     }
                 }
@@ -89,25 +101,28 @@ impl Gather<'_> {
             }
             // Rays that share their origin cost less than what a bundle that is not full wastes.
             if self.rays_per_sample as usize >= BUNDLE {
-                self.finish::<V>(&mut bundle, sums, workspace);
+                self.finish::<V>(&mut bundle);
             }
         }
-        self.finish::<V>(&mut bundle, sums, workspace);
+        self.finish::<V>(&mut bundle);
     }
+}
 
+impl Gather<'_> {
     #[inline(always)]
-    fn finish<V: Kernels>(&self, bundle: &mut Bundle, sums: &mut [CosineSums], workspace: &mut Workspace) {
+    fn finish<V: Compiled>(&mut self, bundle: &mut Bundle) {
         let count = std::mem::take(&mut bundle.count);
         if count == 0 {
             return;
         }
+        let (scene, workspace) = (self.scene, &mut *self.workspace);
         if bundle.owners[0] == bundle.owners[count - 1] {
-            V::trace_bundle::<false, true>(self.scene, count, workspace);
+            V::compiled(TraceBundle::<false, true> { scene, count, workspace });
         } else {
-            V::trace_bundle::<false, false>(self.scene, count, workspace);
+            V::compiled(TraceBundle::<false, false> { scene, count, workspace });
         }
         for (index, &owner) in bundle.owners[..count].iter().enumerate() {
-            let (hit, sum) = (workspace.hits.get(index), &mut sums[owner as usize]);
+            let (hit, sum) = (self.workspace.hits.get(index), &mut self.sums[owner as usize]);
             sum.rays += 1;
             let is_hit = hit.instance != u32::MAX;
             for channel in 0..self.kernel.channels {

@@ -61,11 +61,15 @@ impl TriangleRuns {
 
     /// Corners and id of a triangle.
     pub(crate) fn triangle(&self, index: u32) -> ([Vec3; 3], u32) {
-        let (first, n) = self.leaf_of(index);
-        let lane = (index - first) as usize;
-        let word = |row: usize| self.words[WORDS * first as usize + row * n as usize + lane];
-        let corner = |c: usize| Vec3::new(word(3 * c), word(3 * c + 1), word(3 * c + 2));
-        ([corner(0), corner(1), corner(2)], word(9).to_bits())
+        let (first, count) = self.leaf_of(index);
+        let lane = index - first;
+        (self.corners(first, count, lane), self.id(first, count, lane))
+    }
+
+    /// Corners of a lane of a leaf.
+    pub(crate) fn corners(&self, first: u32, count: u32, lane: u32) -> [Vec3; 3] {
+        let word = |row: u32| self.words[WORDS * first as usize + (row * count + lane) as usize];
+        [0, 3, 6].map(|row| Vec3::new(word(row), word(row + 1), word(row + 2)))
     }
 
     /// Asks for the first lines of a leaf.
