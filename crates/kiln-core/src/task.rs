@@ -44,7 +44,7 @@ impl TaskKind {
     pub const fn kernel_rev(self) -> u32 {
         match self {
             Self::Import | Self::Plan | Self::Solve | Self::Export => 3,
-            Self::Trace => 4,
+            Self::Trace => 5,
         }
     }
 

@@ -21,7 +21,7 @@ pub(crate) const MISS_RANK: u32 = BACK_BIT - 1;
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub(crate) struct TriangleRecord {
     a: [f32; 3],
-    /// Face index with `TWO_SIDED_BIT`.
+    /// Face index with `TWO_SIDED_BIT` and `FLIPPED_BIT`.
     primitive: u32,
     b: [f32; 3],
     padding_b: u32,

@@ -3,6 +3,8 @@
 
 const NO_PRIMITIVE: u32 = 0xffffffffu;
 const TWO_SIDED_BIT: u32 = 0x80000000u;
+// The corners are in the order of the other winding.
+const FLIPPED_BIT: u32 = 0x40000000u;
 // Set in the rank of a back-face hit, so that front faces come first.
 const BACK_BIT: u32 = 0x80000000u;
 // The rank of no hit: after every front face, before every back face.
@@ -57,10 +59,11 @@ fn relative(ray: ShearedRay, corner: vec3<u32>) -> vec3<f32> {
 }
 
 // The tie rule: at equal distances front faces come first, then the lowest instance, then the lowest face.
-fn closer(hit: ClosestHit, t: f32, is_front: bool, primitive: u32, instance: u32) -> ClosestHit {
+fn closer(hit: ClosestHit, t: f32, is_counter_clockwise: bool, primitive: u32, instance: u32) -> ClosestHit {
+    let is_front = is_counter_clockwise == ((primitive & FLIPPED_BIT) == 0u);
     let is_back = !is_front && (primitive & TWO_SIDED_BIT) == 0u;
     let rank = instance | select(0u, BACK_BIT, is_back);
-    let face = primitive & ~TWO_SIDED_BIT;
+    let face = primitive & ~(TWO_SIDED_BIT | FLIPPED_BIT);
     let precedes = rank < hit.rank || (rank == hit.rank && face < hit.primitive);
     if t < hit.t || (t == hit.t && precedes) {
         return ClosestHit(t, rank, face);

@@ -6,8 +6,8 @@ use crate::{
     mesh_bvh::MeshBvh,
     node::{BvhLink, LEAF_BIT, MAX_STACK, WideNode},
     path::{Compiled, Kernel},
-    ray::{HIT_SLACK, TracedRay, WIDEN},
-    triangle::{LeafHits, TWO_SIDED_BIT},
+    ray::{TracedRay, WIDEN},
+    triangle::{FLIPPED_BIT, TWO_SIDED_BIT, face_of, meet},
 };
 
 /// A child that waits for its turn, and the distance of its box.
@@ -55,31 +55,29 @@ impl Leaves for MeshLeaves<'_> {
 }
 
 impl MeshLeaves<'_> {
-    /// Takes note of what a ray hits in a leaf; whether anything was hit that is not behind the best.
+    /// Takes note of what a ray hits in a leaf; whether that is anything that comes before the best.
     #[inline(always)]
     pub(crate) fn test<V: Compiled>(&self, first: u32, count: u32, ray: &TracedRay, best: &mut Hit) -> bool {
-        let hits = self.mesh.triangles.intersect::<V>(first, count, ray, best.t);
-        if hits.mask != 0 {
-            self.record(first, count, &hits, best);
-        }
-        hits.mask != 0
-    }
-
-    /// Keeps the first of the hits by the tie rule.
-    #[inline(always)]
-    fn record(&self, first: u32, count: u32, hits: &LeafHits, best: &mut Hit) {
-        let mut mask = hits.mask;
-        while mask != 0 {
-            let lane = mask.trailing_zeros();
-            mask &= mask - 1;
-            let primitive = self.mesh.triangles.id(first, count, lane);
-            let back_face = hits.front >> lane & 1 == 0 && primitive & TWO_SIDED_BIT == 0;
-            let t = hits.t[lane as usize & 7];
-            let hit = Hit { t, instance: self.instance, primitive: primitive & !TWO_SIDED_BIT, back_face };
+        let triangles = &self.mesh.triangles;
+        let (mut lanes, entries) = triangles.crossed::<V>(first, count, ray, best.t);
+        let mut is_better = false;
+        while lanes != 0 {
+            let lane = lanes.trailing_zeros();
+            lanes &= lanes - 1;
+            let corners = triangles.corners(first, count, lane);
+            let Some((t, is_counter_clockwise)) = meet(corners, ray, entries[lane as usize & 7], best.t) else {
+                continue;
+            };
+            let primitive = triangles.id(first, count, lane);
+            let is_front = is_counter_clockwise == (primitive & FLIPPED_BIT == 0);
+            let back_face = !is_front && primitive & TWO_SIDED_BIT == 0;
+            let hit = Hit { t, instance: self.instance, primitive: face_of(primitive), back_face };
             if precedes(&hit, best) {
                 *best = hit;
+                is_better = true;
             }
         }
+        is_better
     }
 }
 
@@ -90,7 +88,7 @@ fn precedes(hit: &Hit, best: &Hit) -> bool {
     hit.t < best.t || (hit.t == best.t && key(hit) < key(best))
 }
 
-/// Entry distance of each child's box, and the children that are entered before `t_max`, times [`HIT_SLACK`].
+/// Entry distance of each child's box, and the children that are entered up to `t_max`, widened.
 #[inline(always)]
 fn enter<V: Lanes>(node: &WideNode, ray: &TracedRay, t_max: f32) -> ([f32; 8], u32) {
     let mut near = V::splat(0.0);
@@ -102,7 +100,7 @@ fn enter<V: Lanes>(node: &WideNode, ray: &TracedRay, t_max: f32) -> ([f32; 8], u
         near = near_plane.sub(origin).mul(inverse).max(near);
         far = far_plane.sub(origin).mul(inverse).min(far);
     }
-    let far = far.mul(V::splat(WIDEN)).min(V::splat(t_max * HIT_SLACK));
+    let far = far.mul(V::splat(WIDEN)).min(V::splat(t_max * WIDEN));
     let mut distances = [0.0; 8];
     near.store(&mut distances);
     (distances, V::bits(near.le(far)))
@@ -162,7 +160,7 @@ impl<L: Leaves, const ANY: bool> Kernel for Walk<'_, L, ANY> {
                     return;
                 }
                 top -= 1;
-                if stack[top].near <= best.t * HIT_SLACK {
+                if stack[top].near <= best.t * WIDEN {
                     current = stack[top].reference;
                     break;
                 }

@@ -61,20 +61,12 @@ impl Lanes for Avx2 {
     }
 
     binary!(
-        add _mm256_add_ps,
         sub _mm256_sub_ps,
         mul _mm256_mul_ps,
-        div _mm256_div_ps,
         min _mm256_min_ps,
         max _mm256_max_ps
     );
-    comparison!(le _CMP_LE_OQ, lt _CMP_LT_OQ, ne _CMP_NEQ_OQ);
-
-    #[inline(always)]
-    fn and(a: __m256, b: __m256) -> __m256 {
-        // SAFETY: a mask comes from an Avx2.
-        unsafe { _mm256_and_ps(a, b) }
-    }
+    comparison!(le _CMP_LE_OQ);
 
     #[inline(always)]
     fn or(a: __m256, b: __m256) -> __m256 {

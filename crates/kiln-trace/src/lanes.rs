@@ -17,17 +17,11 @@ pub(crate) trait Lanes: Copy {
     fn splat(x: f32) -> Self;
     fn load(row: &[f32; 8]) -> Self;
     fn store(self, row: &mut [f32; 8]);
-    fn add(self, other: Self) -> Self;
     fn sub(self, other: Self) -> Self;
     fn mul(self, other: Self) -> Self;
-    fn div(self, other: Self) -> Self;
     fn min(self, other: Self) -> Self;
     fn max(self, other: Self) -> Self;
     fn le(self, other: Self) -> Self::Mask;
-    fn lt(self, other: Self) -> Self::Mask;
-    /// Whether the lanes differ; false for NaN.
-    fn ne(self, other: Self) -> Self::Mask;
-    fn and(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     fn or(a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// Lane i in bit i.
     fn bits(mask: Self::Mask) -> u32;
@@ -89,24 +83,11 @@ impl Lanes for Portable {
         *row = self.0;
     }
 
-    lanewise!(add, |a, b| a + b);
     lanewise!(sub, |a, b| a - b);
     lanewise!(mul, |a, b| a * b);
-    lanewise!(div, |a, b| a / b);
     lanewise!(min, |a, b| if a < b { a } else { b });
     lanewise!(max, |a, b| if a > b { a } else { b });
     comparison!(le, |a, b| a <= b);
-    comparison!(lt, |a, b| a < b);
-    comparison!(ne, |a, b| (a < b) | (a > b));
-
-    #[inline(always)]
-    fn and(a: [u32; 8], b: [u32; 8]) -> [u32; 8] {
-        let mut out = [0; 8];
-        for lane in 0..8 {
-            out[lane] = a[lane] & b[lane];
-        }
-        out
-    }
 
     #[inline(always)]
     fn or(a: [u32; 8], b: [u32; 8]) -> [u32; 8] {
@@ -169,12 +150,12 @@ mod tests {
         fn run<V: Compiled>(self) {
             let Self { a, b, bytes, results } = self;
             let (x, y) = (V::load(&a), V::load(&b));
-            for value in [x.add(y), x.sub(y), x.mul(y), x.div(y), x.min(y), x.max(y), V::splat(a[3])] {
+            for value in [x.sub(y), x.mul(y), x.min(y), x.max(y), V::splat(a[3])] {
                 let mut row = [0.0; 8];
                 value.store(&mut row);
                 results.push(row.map(|r| if r.is_nan() { 0 } else { r.to_bits() }));
             }
-            for mask in [x.le(y), x.lt(y), x.ne(y), V::and(x.le(y), y.le(x)), V::or(x.lt(y), y.lt(x))] {
+            for mask in [x.le(y), y.le(x), V::or(x.le(y), y.le(x))] {
                 let mut row = [0.0; 8];
                 V::select(mask, x, y).store(&mut row);
                 results.push(row.map(f32::to_bits));

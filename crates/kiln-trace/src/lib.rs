@@ -37,4 +37,4 @@ pub use path::Path;
 pub use scene::{PositionError, Scene, SceneInstance, SceneObject};
 pub use sobol::{SobolScramble, owen_scramble, sobol_digits, sobol_point};
 pub use tracer::{CosineSums, Hit, Ray, SurfaceSample, TraceError, Tracer};
-pub use triangle::TWO_SIDED_BIT;
+pub use triangle::{FLIPPED_BIT, TWO_SIDED_BIT};

@@ -4,7 +4,7 @@ use crate::{
     BvhChild,
     build::build,
     node::{BvhLink, MAX_LEAF, WideNode},
-    triangle::{TWO_SIDED_BIT, TriangleRuns},
+    triangle::{FLIPPED_BIT, TWO_SIDED_BIT, TriangleRuns},
 };
 use glam::{DVec3, Vec3, Vec3A};
 use kiln_core::{Bounds, Mesh};
@@ -66,7 +66,7 @@ impl MeshBvh {
         self.nodes[node as usize].slots()
     }
 
-    /// Corners of a triangle that a leaf names, object space, and its face index with [`TWO_SIDED_BIT`].
+    /// Corners of a triangle that a leaf names, object space, and its face index with [`TWO_SIDED_BIT`] and [`FLIPPED_BIT`].
     pub fn triangle(&self, index: u32) -> ([Vec3; 3], u32) {
         self.triangles.triangle(index)
     }
@@ -83,8 +83,9 @@ impl MeshBvh {
 }
 
 struct Occluder {
+    /// In rising order of their bits.
     corners: [Vec3; 3],
-    /// Face index with [`TWO_SIDED_BIT`].
+    /// Face index with [`TWO_SIDED_BIT`] and [`FLIPPED_BIT`].
     primitive: u32,
 }
 
@@ -116,9 +117,13 @@ fn occluders(mesh: &Mesh) -> Vec<Occluder> {
         }
     }
     faces.par_sort_unstable();
-    let occluder = |(face, two_sided): (u32, bool)| Occluder {
-        corners: mesh.corners(face as usize),
-        primitive: face | if two_sided { TWO_SIDED_BIT } else { 0 },
+    let occluder = |(face, two_sided): (u32, bool)| {
+        let (bits, is_even) = corner_key(mesh.corners(face as usize));
+        let bit = |is_set: bool, bit: u32| if is_set { bit } else { 0 };
+        Occluder {
+            corners: bits.map(|corner| Vec3::from_array(corner.map(f32::from_bits))),
+            primitive: face | bit(two_sided, TWO_SIDED_BIT) | bit(!is_even, FLIPPED_BIT),
+        }
     };
     faces.into_par_iter().map(occluder).collect()
 }

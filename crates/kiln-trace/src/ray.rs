@@ -3,13 +3,9 @@
 use glam::Vec3;
 
 /// Widens a far distance beyond the rounding error of the slab test, 1 + 2γ₃ and a little more (Ize 2013, "Robust BVH ray
-/// traversal"), so that the closest hit is that of all triangles, whatever the tree.
+/// traversal"), and the distance of a hit, so that the boxes of instances are entered whose rays are rounded on their way
+/// into object space.
 pub(crate) const WIDEN: f32 = 1.000_000_6;
-
-/// Widens the distance of a hit, whose error is that of the triangle test: the distances of boxes are better than that, and
-/// one that holds a nearer hit, or a tie, must not be left out. It suffices but for rays that graze a triangle from near
-/// by, in units of the triangle.
-pub(crate) const HIT_SLACK: f32 = 1.000_1;
 
 /// Directions shorter than this along an axis count as this long in box tests only, so that no 0 · ∞ occurs.
 const LEAST_DIRECTION: f32 = 1e-18;
@@ -18,14 +14,15 @@ const LEAST_DIRECTION: f32 = 1e-18;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct TracedRay {
     pub(crate) origin: [f32; 3],
+    pub(crate) direction: [f32; 3],
     /// One over the direction.
     pub(crate) inverse: [f32; 3],
     /// Row of a node's bounds that has the near plane of each axis, below 6; the far one is 3 on or back.
     pub(crate) near: [u8; 3],
     /// The axes turned so that z is the direction's longest.
     pub(crate) axes: [u8; 3],
-    /// Shear and scale that make the direction z.
-    pub(crate) shear: [f32; 3],
+    /// Shear that makes the direction z.
+    pub(crate) shear: [f32; 2],
     /// The origin, its axes turned.
     pub(crate) turned_origin: [f32; 3],
 }
@@ -56,10 +53,11 @@ impl TracedRay {
         }
         Self {
             origin,
+            direction: d,
             inverse,
             near,
             axes: [x as u8, y as u8, z as u8],
-            shear: [d[x] / d[z], d[y] / d[z], 1.0 / d[z]],
+            shear: [d[x] / d[z], d[y] / d[z]],
             turned_origin: [origin[x], origin[y], origin[z]],
         }
     }
@@ -80,6 +78,6 @@ mod tests {
     fn planes_are_those_of_the_octant() {
         let ray = TracedRay::new(Vec3::ZERO, Vec3::new(1.0, -2.0, 0.0));
         assert_eq!((ray.near, [0, 1, 2].map(|axis| ray.far(axis))), ([0, 4, 2], [3, 1, 5]));
-        assert_eq!((ray.axes, ray.shear[2]), ([0, 2, 1], -0.5));
+        assert_eq!((ray.axes, ray.shear), ([0, 2, 1], [-0.5, -0.0]));
     }
 }

@@ -46,7 +46,11 @@ impl<A: Answer> Kernel for Trace<'_, A> {
     #[inline(always)]
     fn run<V: Compiled>(self) {
         let Self { scene, rays, answers, workspace } = self;
-        for (rays, answers) in rays.chunks(BUNDLE).zip(answers.chunks_mut(BUNDLE)) {
+        let bundles = rays.chunks(BUNDLE);
+        // Each bundle's rays are asked for while the one before it is traced, which is longer than hardware looks ahead.
+        let next = bundles.clone().skip(1).chain([&[][..]]);
+        for ((rays, next), answers) in bundles.zip(next).zip(answers.chunks_mut(BUNDLE)) {
+            V::prefetch(next);
             let mut is_shared = true;
             for (index, ray) in rays.iter().enumerate() {
                 workspace.origins[index] = ray.origin;

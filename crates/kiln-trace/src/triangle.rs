@@ -4,12 +4,30 @@
 //! are exact negatives of each other (no fused multiply-add is used), so that no ray slips through; a ray on an edge
 //! (a function of exactly 0) hits both faces, so that their double-precision fall-back is not needed. The same
 //! arithmetic in the same order is in `triangle.wgsl` of `kiln-gpu`: keep them in sync.
+//!
+//! Deviation: distances do not come from the edge functions, whose errors grow with the triangle, not with the distance,
+//! but from the triangle's plane in f64. And a hit counts only if the ray enters the triangle's own box, and no nearer than
+//! it does, by the arithmetic that all boxes are tested with. Roundings are monotonic, so a box around others is entered
+//! where one of them is, and no later: whatever the tree, what it finds is what testing every triangle finds, to the bit.
 
-use crate::{lanes::Lanes, node::MAX_LEAF, ray::TracedRay};
+use crate::{
+    lanes::Lanes,
+    node::MAX_LEAF,
+    ray::{TracedRay, WIDEN},
+};
 use glam::Vec3;
 
 /// Set in a primitive id whose face counts as front from either side.
 pub const TWO_SIDED_BIT: u32 = 1 << 31;
+
+/// Set in a primitive id whose corners are in the order of the other winding. Corners are kept in an order of their own, so
+/// that coincident faces have the same distance to the bit, whichever corner they begin with and whichever way they face.
+pub const FLIPPED_BIT: u32 = 1 << 30;
+
+/// The face that a primitive id names.
+pub(crate) fn face_of(primitive: u32) -> u32 {
+    primitive & !(TWO_SIDED_BIT | FLIPPED_BIT)
+}
 
 /// Words of a triangle: nine coordinates and its id.
 const WORDS: usize = 10;
@@ -96,60 +114,68 @@ impl TriangleRuns {
         self.words[at..].first_chunk().expect("eight words follow every row")
     }
 
-    /// Hits of a ray with the triangles of a leaf at `0 < t ≤ t_max`.
+    /// Lanes of a leaf whose triangles the line of a ray goes through, and whose boxes the ray enters up to `t_max`; and
+    /// where it does.
     #[inline(always)]
-    pub(crate) fn intersect<V: Lanes>(&self, first: u32, count: u32, ray: &TracedRay, t_max: f32) -> LeafHits {
+    pub(crate) fn crossed<V: Lanes>(&self, first: u32, count: u32, ray: &TracedRay, t_max: f32) -> (u32, [f32; 8]) {
         let n = count as usize;
         debug_assert!(n <= MAX_LEAF);
         let rows = WORDS * first as usize;
-        let a = self.relative::<V>(rows, n, ray);
-        let b = self.relative::<V>(rows + 3 * n, n, ray);
-        let c = self.relative::<V>(rows + 6 * n, n, ray);
+        let a = self.across::<V>(rows, n, ray);
+        let b = self.across::<V>(rows + 3 * n, n, ray);
+        let c = self.across::<V>(rows + 6 * n, n, ray);
         let u = edge(c, b);
         let v = edge(a, c);
         let w = edge(b, a);
         let zero = V::splat(0.0);
         let least = u.min(v).min(w);
         let greatest = u.max(v).max(w);
-        let inside = V::or(zero.le(least), greatest.le(zero));
-        let lanes = (1 << n) - 1;
-        if V::bits(inside) & lanes == 0 {
-            return LeafHits { mask: 0, front: 0, t: [0.0; 8] };
+        let crossed = V::bits(V::or(zero.le(least), greatest.le(zero))) & ((1 << n) - 1);
+        let mut entries = [0.0; 8];
+        if crossed == 0 {
+            return (0, entries);
         }
-        let determinant = u.add(v).add(w);
-        let scale = V::splat(ray.shear[2]);
-        let along = u.mul(a[2].mul(scale)).add(v.mul(b[2].mul(scale))).add(w.mul(c[2].mul(scale)));
-        let distance = along.div(determinant);
-        let is_ahead = V::and(zero.lt(distance), distance.le(V::splat(t_max)));
-        let hit = V::and(V::and(inside, determinant.ne(zero)), is_ahead);
-        let mut t = [0.0; 8];
-        distance.store(&mut t);
-        LeafHits { mask: V::bits(hit) & lanes, front: V::bits(zero.lt(determinant)), t }
+        let (mut near, mut far) = (zero, V::splat(t_max));
+        for axis in 0..3 {
+            let corner = |row: usize| V::load(self.row(rows + (row + axis) * n));
+            let (a, b, c) = (corner(0), corner(3), corner(6));
+            let (origin, inverse) = (V::splat(ray.origin[axis]), V::splat(ray.inverse[axis]));
+            let [low, high] = [a.min(b).min(c), a.max(b).max(c)].map(|plane| plane.sub(origin).mul(inverse));
+            // The nearer of both is the one that the direction's sign tells, since roundings are monotonic.
+            near = low.min(high).max(near);
+            far = low.max(high).mul(V::splat(WIDEN)).min(far);
+        }
+        near.store(&mut entries);
+        (crossed & V::bits(near.le(far)), entries)
     }
 
-    /// Coordinates of corners relative to the ray: x and y across it, and z along its longest axis.
+    /// Coordinates of corners across the ray.
     #[inline(always)]
-    fn relative<V: Lanes>(&self, rows: usize, n: usize, ray: &TracedRay) -> [V; 3] {
+    fn across<V: Lanes>(&self, rows: usize, n: usize, ray: &TracedRay) -> [V; 2] {
         let [kx, ky, kz] = ray.axes;
         let x = V::load(self.row(rows + kx as usize * n)).sub(V::splat(ray.turned_origin[0]));
         let y = V::load(self.row(rows + ky as usize * n)).sub(V::splat(ray.turned_origin[1]));
         let z = V::load(self.row(rows + kz as usize * n)).sub(V::splat(ray.turned_origin[2]));
-        [x.sub(z.mul(V::splat(ray.shear[0]))), y.sub(z.mul(V::splat(ray.shear[1]))), z]
+        [x.sub(z.mul(V::splat(ray.shear[0]))), y.sub(z.mul(V::splat(ray.shear[1])))]
     }
 }
 
-/// What a ray hits in a leaf.
-pub(crate) struct LeafHits {
-    /// Lanes that are hit.
-    pub(crate) mask: u32,
-    /// Lanes seen from the front.
-    pub(crate) front: u32,
-    /// Distances, where the mask is set.
-    pub(crate) t: [f32; 8],
+/// Where a ray meets the plane of a triangle whose box it enters at `entry`, but no nearer: distance, and whether the
+/// corners are seen counter-clockwise. Nothing behind the ray, beyond `t_max`, or in the plane.
+#[inline(always)]
+pub(crate) fn meet([a, b, c]: [Vec3; 3], ray: &TracedRay, entry: f32, t_max: f32) -> Option<(f32, bool)> {
+    let (a, b, c) = (a.as_dvec3(), b.as_dvec3(), c.as_dvec3());
+    let normal = (b - a).cross(c - a);
+    let slope = normal.dot(Vec3::from_array(ray.direction).as_dvec3());
+    let height = normal.dot(a - Vec3::from_array(ray.origin).as_dvec3());
+    // Where the slope is 0 this is no number, or infinite.
+    let plane = (height / slope) as f32;
+    let t = if plane > entry { plane } else { entry };
+    (plane > 0.0 && t <= t_max && t < f32::INFINITY).then_some((t, slope < 0.0))
 }
 
 #[inline(always)]
-fn edge<V: Lanes>(p: [V; 3], q: [V; 3]) -> V {
+fn edge<V: Lanes>(p: [V; 2], q: [V; 2]) -> V {
     p[0].mul(q[1]).sub(p[1].mul(q[0]))
 }
 
@@ -166,9 +192,10 @@ mod tests {
         runs.set_leaf(2, &[flat, (corners, 5), flat]);
         runs.set_leaf(5, &[(corners, 6)]);
         let ray = TracedRay::new(origin, direction);
-        let hits = runs.intersect::<Portable>(2, 3, &ray, f32::INFINITY);
-        assert_eq!(hits.mask & !0b10, 0, "an empty lane was hit");
-        (hits.mask != 0).then_some((hits.t[1], hits.front & 0b10 != 0))
+        let (lanes, entries) = runs.crossed::<Portable>(2, 3, &ray, f32::INFINITY);
+        let meet = |lane: u32| meet(runs.corners(2, 3, lane), &ray, entries[lane as usize], f32::INFINITY);
+        assert!([0, 2].into_iter().all(|lane| lanes >> lane & 1 == 0 || meet(lane).is_none()), "a flat lane was hit");
+        if lanes >> 1 & 1 == 1 { meet(1) } else { None }
     }
 
     #[test]
