@@ -1,6 +1,7 @@
 //! What `kiln bench` measures: one module for each measurement.
 
 pub mod accuracy;
+pub mod bake;
 mod clock;
 mod error;
 mod imported;
@@ -22,6 +23,8 @@ use kiln_worker::tasks::Backend;
 pub enum Bench {
     /// Error against time and rays of several ways to bake, on given scenes
     Accuracy(Box<accuracy::Args>),
+    /// Whole bakes: where their time goes, threads, a farm, error, cost against size
+    Bake(Box<bake::Args>),
     /// Rays per second, time and memory of building BVHs, beside another tracer and ray by ray
     Rays(rays::Args),
     /// The linear solver beside CHOLMOD and Eigen, and its stress suite
@@ -29,10 +32,11 @@ pub enum Bench {
 }
 
 impl Bench {
-    /// Runs the measurement and prints its table. `backend` is where `rays` traces; the others use the CPU.
+    /// Runs the measurement and prints its table. `backend` is where `bake` and `rays` trace; the others use the CPU.
     pub fn run(&self, backend: &Backend) -> Result<(), BenchError> {
         match self {
             Self::Accuracy(args) => accuracy::run(args),
+            Self::Bake(args) => bake::run(args, backend),
             Self::Rays(args) => rays::run(args, backend),
             Self::Solve(args) => solve::run(args),
         }

@@ -1,6 +1,10 @@
 //! Running the tasks of a lease, side by side on the worker's threads.
 
-use crate::{ArtefactError, Artefacts, CancelFlag, Executor, TaskError, cpu_time::CpuMeter, threads::TaskThreads};
+use crate::{
+    ArtefactError, Artefacts, CancelFlag, Executor, TaskError,
+    account::{Part, Sheet},
+    threads::TaskThreads,
+};
 use bytes::Bytes;
 use kiln_core::{Digest, TaskKey, TaskSpec};
 use kiln_proto::{limits, v1};
@@ -25,7 +29,6 @@ pub(crate) struct Bench {
     pub(crate) threads: TaskThreads,
     pub(crate) executor: Arc<dyn Executor>,
     pub(crate) artefacts: Arc<dyn Artefacts>,
-    pub(crate) cpu: Arc<CpuMeter>,
 }
 
 /// Is told of each finished task and of rays.
@@ -55,6 +58,7 @@ struct Done {
     result: Bytes,
     attachments: Vec<Bytes>,
     rays: u64,
+    sheet: Sheet,
     began: Instant,
     ended: Instant,
 }
@@ -76,7 +80,7 @@ impl Bench {
         let blobs: Vec<Bytes> = done.iter().flat_map(blobs).collect();
         let stored = if blobs.is_empty() { Ok(Vec::new()) } else { self.artefacts.store(blobs) };
         let results = match stored {
-            Ok(_) => self.results(&done),
+            Ok(_) => done.iter().map(result).collect(),
             Err(error) => {
                 failures.extend(done.iter().map(|task| not_stored(task, &error)));
                 Vec::new()
@@ -104,20 +108,23 @@ impl Bench {
         outcomes.iter().for_each(|(i, outcome): (usize, _)| ran[i] = outcome);
         ran
     }
+}
 
-    fn results(&self, done: &[Done]) -> Vec<v1::TaskResult> {
-        let seconds = |task: &Done| (task.ended - task.began).as_secs_f64();
-        let all_seconds: f64 = done.iter().map(seconds).sum();
-        let cpu_per_second = if all_seconds > 0.0 { self.cpu.take() / all_seconds } else { 0.0 };
-        let result = |task: &Done| v1::TaskResult {
-            task_id: task.id,
-            key: task.key.0.0.to_vec(),
-            artefact: Digest::of(&task.result).0.to_vec(),
-            seconds: seconds(task),
-            cpu_seconds: seconds(task) * cpu_per_second,
-            rays: task.rays,
-        };
-        done.iter().map(result).collect()
+fn result(task: &Done) -> v1::TaskResult {
+    let part = |part| {
+        let entry = task.sheet.entry(part);
+        Some(v1::PartTime { seconds: entry.seconds(), cpu_seconds: entry.cpu_seconds() })
+    };
+    v1::TaskResult {
+        task_id: task.id,
+        key: task.key.0.0.to_vec(),
+        artefact: Digest::of(&task.result).0.to_vec(),
+        seconds: (task.ended - task.began).as_secs_f64(),
+        cpu_seconds: task.sheet.cpu_seconds(),
+        rays: task.rays,
+        loading: part(Part::Loading),
+        building: part(Part::Building),
+        tracing: part(Part::Tracing),
     }
 }
 
@@ -130,10 +137,10 @@ fn run_task(
     if task.cancel.is_cancelled() {
         return Err(TaskError::Cancelled);
     }
-    let began = Instant::now();
+    let (began, sheet) = (Instant::now(), Sheet::default());
     // A bug in a task must not take the worker and its other leases down.
     let run = || executor.run(&task.spec, artefacts, &task.cancel, progress);
-    let output = catch_unwind(AssertUnwindSafe(run));
+    let output = catch_unwind(AssertUnwindSafe(|| sheet.charge(run)));
     let output = output.map_err(|panic| TaskError::Failed { reason: describe_panic(&*panic) })??;
     Ok(Done {
         id: task.id,
@@ -141,6 +148,7 @@ fn run_task(
         result: output.result.into(),
         attachments: output.attachments.into_iter().map(Bytes::from).collect(),
         rays: output.rays,
+        sheet,
         began,
         ended: Instant::now(),
     })

@@ -5,10 +5,12 @@
 //! reconnect until the coordinator has settled them. What a task *is* stands in [`tasks`]; where its bytes come from
 //! and go to is [`Artefacts`]: the coordinator's own store in one process, uploads and downloads elsewhere.
 
+mod account;
 mod artefacts;
 mod cpu_time;
 mod executor;
 mod lease;
+mod pool_time;
 mod session;
 pub mod tasks;
 mod threads;

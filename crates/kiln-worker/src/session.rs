@@ -6,7 +6,6 @@
 
 use crate::{
     Artefacts, CancelFlag, Executor,
-    cpu_time::CpuMeter,
     lease::{Bench, LeaseOutcome, LeasedTask, Progress},
     threads::TaskThreads,
 };
@@ -90,12 +89,7 @@ pub async fn run(
 ) -> Result<(), WorkerError> {
     let (finished, mut finishes) = mpsc::channel(64);
     let mut worker = Worker {
-        bench: Bench {
-            threads: TaskThreads::start(config.threads)?,
-            executor,
-            artefacts,
-            cpu: Arc::new(CpuMeter::start()),
-        },
+        bench: Bench { threads: TaskThreads::start(config.threads)?, executor, artefacts },
         config,
         started: Instant::now(),
         leases: BTreeMap::new(),

@@ -1,6 +1,10 @@
 //! What a person sees while a bake runs: a bar for each stage with its rate and ETA, or plain lines.
 
-use crate::{args::Common, failure::Failure, report::Stage};
+use crate::{
+    args::Common,
+    failure::Failure,
+    report::{PartTime, Stage},
+};
 use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
 use kiln_proto::{
     client::{BakeUpdate, ClientError, Watch},
@@ -167,9 +171,19 @@ pub(crate) fn stages(bake: &v1::Bake) -> Vec<Stage> {
         name: name(s).to_owned(),
         seconds: s.seconds,
         cpu_seconds: s.cpu_seconds,
+        parts: parts(s),
         items: s.total,
     };
     bake.stages.iter().map(stage).collect()
+}
+
+fn parts(stage: &v1::StageProgress) -> BTreeMap<&'static str, PartTime> {
+    let all = [("loading", stage.loading), ("building", stage.building), ("tracing", stage.tracing)];
+    let shown = |(name, part): (_, Option<v1::PartTime>)| {
+        let v1::PartTime { seconds, cpu_seconds } = part.filter(|part| part.seconds > 0.0)?;
+        Some((name, PartTime { seconds, cpu_seconds }))
+    };
+    all.into_iter().filter_map(shown).collect()
 }
 
 /// Turns a client's error into an exit code.

@@ -20,7 +20,17 @@ pub(crate) struct Stage {
     /// From the first task's start to the last one's end.
     pub(crate) seconds: f64,
     pub(crate) cpu_seconds: f64,
+    /// Of this, by what the tasks did.
+    pub(crate) parts: BTreeMap<&'static str, PartTime>,
     pub(crate) items: u64,
+}
+
+/// Time of a part of a stage's tasks.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub(crate) struct PartTime {
+    /// Sum over threads.
+    pub(crate) seconds: f64,
+    pub(crate) cpu_seconds: f64,
 }
 
 /// Results found in the store, and not.
@@ -75,6 +85,7 @@ pub(crate) fn report(summary: &BakeSummary, run: &Run<'_>) -> Value {
         "left_out": skips::left_out(summary),
         "stages": run.stages,
         "seconds": run.seconds,
+        "cpu_seconds": kiln_worker::process_time().as_secs_f64(),
         "peak_memory_bytes": peak_memory_bytes(),
         "error_estimate": errors(&summary.error),
         "too_coarse": coarse::of_level(summary),

@@ -48,16 +48,16 @@ impl Input {
 
 /// How rays are made for a level.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct RayCounts {
-    pub(super) points: usize,
-    pub(super) per_point: usize,
+pub(crate) struct RayCounts {
+    pub(crate) points: usize,
+    pub(crate) per_point: usize,
 }
 
 /// A scene and its rays. Every face stops rays.
-pub(super) struct Case {
+pub(crate) struct Case {
     pub(super) name: String,
-    pub(super) meshes: Vec<Arc<Mesh>>,
-    pub(super) objects: Vec<SceneObject>,
+    pub(crate) meshes: Vec<Arc<Mesh>>,
+    pub(crate) objects: Vec<SceneObject>,
     pub(super) rays: RaySet,
     /// What gathering makes of distances.
     pub(super) kernel: Kernel,

@@ -2,13 +2,13 @@
 
 mod agree;
 mod build;
-mod case;
+pub(crate) mod case;
 mod contest;
 mod files;
 mod lap;
 mod peer;
 mod predicted;
-mod scaling;
+pub(crate) mod scaling;
 mod surface;
 mod table;
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use super::{Dispatcher, Landed, registry::Leased};
 use crate::{
     flights::Entry,
-    job::{Effort, Node, Step},
+    job::{Effort, Node, Parts, Step},
     keeper::{Arrival, Delivery, Op, Verdict},
 };
 use kiln_core::{Digest, JobId, TaskKey};
@@ -126,8 +126,7 @@ impl Dispatcher {
             let within = |error: FieldError| error.within(&format!("entries[{i}]"));
             let key = TaskKey(digest("key", &entry.key).map_err(within)?);
             let artefact = digest("artefact", &entry.artefact).map_err(within)?;
-            let effort =
-                Effort { seconds: finite(entry.seconds), cpu_seconds: finite(entry.cpu_seconds), rays: entry.rays };
+            let effort = effort(entry);
             // A result that nobody waits for any more is not even looked at.
             let Some(task) = self.flights.find(TaskId(entry.task_id), key) else { continue };
             let Some(flying) = self.flights.get(task) else { continue };
@@ -258,6 +257,19 @@ fn reason(why: RevokeReason) -> &'static str {
         RevokeReason::TooLong => "it took longer than a lease may",
         RevokeReason::SetAside => "the worker is set aside",
         RevokeReason::Drained => "the worker's time to drain is over",
+    }
+}
+
+fn effort(entry: &v1::TaskResult) -> Effort {
+    let part = |part: &Option<v1::PartTime>| {
+        let part = part.unwrap_or_default();
+        v1::PartTime { seconds: finite(part.seconds), cpu_seconds: finite(part.cpu_seconds) }
+    };
+    Effort {
+        seconds: finite(entry.seconds),
+        cpu_seconds: finite(entry.cpu_seconds),
+        rays: entry.rays,
+        parts: Parts { loading: part(&entry.loading), building: part(&entry.building), tracing: part(&entry.tracing) },
     }
 }
 

@@ -8,7 +8,7 @@ mod view;
 
 pub(crate) use answer::{Answer, answer_key, failure_key};
 pub(crate) use phase::{Baking, Ended, Ending, Exporting, GraphError, Outcome, Phase, Planning, Success, Waiting};
-pub(crate) use progress::{Effort, Progress};
+pub(crate) use progress::{Effort, Parts, Progress};
 
 use crate::{check::Expect, events::EventLog};
 use kiln_core::{Digest, ExportSpec, JobId, Lane, PlanSpec, TaskGraph, TaskKey, TaskKind, TaskSpec, Warning};

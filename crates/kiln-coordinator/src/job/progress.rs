@@ -10,6 +10,27 @@ pub(crate) struct Effort {
     pub(crate) seconds: f64,
     pub(crate) cpu_seconds: f64,
     pub(crate) rays: u64,
+    pub(crate) parts: Parts,
+}
+
+/// Time of parts of tasks.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Parts {
+    pub(crate) loading: v1::PartTime,
+    pub(crate) building: v1::PartTime,
+    pub(crate) tracing: v1::PartTime,
+}
+
+impl Parts {
+    fn add(&mut self, other: &Self) {
+        let add = |sum: &mut v1::PartTime, part: &v1::PartTime| {
+            sum.seconds += part.seconds;
+            sum.cpu_seconds += part.cpu_seconds;
+        };
+        add(&mut self.loading, &other.loading);
+        add(&mut self.building, &other.building);
+        add(&mut self.tracing, &other.tracing);
+    }
 }
 
 /// Progress of one kind.
@@ -27,6 +48,7 @@ pub(crate) struct Stage {
     last_ms: u64,
     task_seconds: f64,
     cpu_seconds: f64,
+    parts: Parts,
     retries: u64,
     /// Changed since it was last told.
     dirty: bool,
@@ -73,6 +95,7 @@ impl Progress {
         stage.rays_traced += effort.rays;
         stage.task_seconds += effort.seconds;
         stage.cpu_seconds += effort.cpu_seconds;
+        stage.parts.add(&effort.parts);
         stage.last_ms = now_ms;
     }
 
@@ -141,6 +164,9 @@ impl Stage {
             cpu_seconds: self.cpu_seconds,
             retries: self.retries,
             rays_traced: self.rays_traced + self.rays_under_way.values().sum::<u64>(),
+            loading: Some(self.parts.loading),
+            building: Some(self.parts.building),
+            tracing: Some(self.parts.tracing),
         }
     }
 }
@@ -160,12 +186,15 @@ mod tests {
         progress.under_way(TaskKind::Trace, 1, 50);
         assert_eq!(progress.stages()[0].rays_traced, 50);
         progress.under_way(TaskKind::Trace, 1, 0);
-        let effort = Effort { seconds: 0.5, cpu_seconds: 0.4, rays: 150 };
+        let tracing = v1::PartTime { seconds: 0.4, cpu_seconds: 0.3 };
+        let parts = Parts { tracing, ..Parts::default() };
+        let effort = Effort { seconds: 0.5, cpu_seconds: 0.4, rays: 150, parts };
         progress.ran(TaskKind::Trace, 200, effort, 3500);
         let stage = &progress.take_changed()[0];
         assert_eq!((stage.total, stage.done, stage.cache_hits), (3, 2, 1));
         assert_eq!((stage.rays_total, stage.rays_done, stage.rays_traced), (600, 300, 150));
         assert_eq!((stage.seconds, stage.task_seconds), (2.5, 0.5));
+        assert_eq!((stage.tracing, stage.building), (Some(tracing), Some(v1::PartTime::default())));
         assert!(progress.take_changed().is_empty());
     }
 }

@@ -2,7 +2,10 @@
 //! loaded.
 
 use super::{Backend, out_of_range};
-use crate::{Artefacts, TaskError};
+use crate::{
+    Artefacts, TaskError,
+    account::{self, Part},
+};
 use glam::{DAffine3, DVec3};
 use kiln_core::{Bounds, Class, Digest, FaceGroup, Instance, Level, Mesh, REACH_EPSILON, codec};
 use kiln_plan::Reach;
@@ -92,7 +95,10 @@ impl LoadedLevel {
             let tracer = backend.tracer(&scene).map_err(|error| error.to_string())?;
             Ok((scene, tracer))
         };
-        self.tracer.get_or_init(build).as_ref().map_err(|reason| TaskError::Failed { reason: reason.clone() })
+        let build = || account::part(Part::Building, build);
+        account::waiting(|| self.tracer.get_or_init(build))
+            .as_ref()
+            .map_err(|reason| TaskError::Failed { reason: reason.clone() })
     }
 
     fn build_scene(&self) -> Scene {
@@ -178,11 +184,11 @@ impl LevelCache {
     /// The level, loaded by the first task that asks; the others wait for it.
     pub(super) fn get(&self, digest: Digest, artefacts: &dyn Artefacts) -> Result<Arc<LoadedLevel>, TaskError> {
         let slot = self.slot(digest);
-        let _loading = slot.loading.lock().unwrap_or_else(PoisonError::into_inner);
+        let _loading = account::waiting(|| slot.loading.lock()).unwrap_or_else(PoisonError::into_inner);
         if let Some(level) = slot.level.get() {
             return Ok(Arc::clone(level));
         }
-        let level = Arc::new(LoadedLevel::load(digest, artefacts)?);
+        let level = Arc::new(account::part(Part::Loading, || LoadedLevel::load(digest, artefacts))?);
         Ok(Arc::clone(slot.level.get_or_init(|| level)))
     }
 

@@ -1,6 +1,7 @@
 //! The tasks themselves: each turns artefacts into artefacts, by the crates that own the work.
 
 mod backend;
+mod counted;
 mod export;
 mod import;
 mod levels;

@@ -1,6 +1,6 @@
 //! Trace: a piece of an instance to per-face moments.
 
-use super::{Backend, LoadedLevel, out_of_range};
+use super::{Backend, LoadedLevel, counted::Counted, out_of_range};
 use crate::{TaskError, TaskOutput};
 use kiln_bake::{Piece, trace_piece};
 use kiln_core::{Bounds, TraceTask};
@@ -22,7 +22,7 @@ pub(super) fn run(task: &TraceTask, level: &LoadedLevel, backend: &Backend) -> R
         sampling: &level.level.sampling,
         occluders_m: reach.group(task.instance as usize).map_or(Bounds::EMPTY, |group| reach.bounds_m(group)),
     };
-    let moments =
-        trace_piece(&**tracer, scene, &piece).map_err(|error| TaskError::Failed { reason: error.to_string() })?;
+    let moments = trace_piece(&Counted(&**tracer), scene, &piece)
+        .map_err(|error| TaskError::Failed { reason: error.to_string() })?;
     Ok(TaskOutput { rays: moments.summary.rays, result: moments.to_bytes(), attachments: Vec::new() })
 }

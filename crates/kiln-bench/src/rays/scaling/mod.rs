@@ -1,7 +1,7 @@
 //! `kiln bench rays --scaling`: what building and tracing cost as scenes grow.
 
-mod plot;
-mod shapes;
+pub(crate) mod plot;
+pub(crate) mod shapes;
 
 use super::{
     Args,

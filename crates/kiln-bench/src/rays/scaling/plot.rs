@@ -7,11 +7,11 @@ use crate::accuracy::svg::{
 };
 use std::fmt::{Result, Write};
 
-const WIDTH: f64 = 300.0;
-const HEIGHT: f64 = 210.0;
-const LEFT: f64 = 20.0;
-const TOP: f64 = 70.0;
-const MARGIN: [f64; 4] = [24.0, 20.0, 40.0, 46.0];
+pub(crate) const WIDTH: f64 = 300.0;
+pub(crate) const HEIGHT: f64 = 210.0;
+pub(crate) const LEFT: f64 = 20.0;
+pub(crate) const TOP: f64 = 70.0;
+pub(crate) const MARGIN: [f64; 4] = [24.0, 20.0, 40.0, 46.0];
 
 /// What a panel shows of a scene: name, unit, value.
 type Quantity = (&'static str, fn(&Measured) -> f64);
@@ -23,7 +23,7 @@ const COLUMNS: [(&str, &[Quantity]); 3] =
     [("Mrays per second of a thread's time, × threads", &RATES), ("build, wall seconds", &BUILD), ("tree, MB", &BYTES)];
 
 /// Colours that colour-blind people can tell apart (Okabe and Ito 2008): by quantity, then for given levels.
-const MADE: [&str; 2] = ["#0072b2", "#d55e00"];
+pub(crate) const MADE: [&str; 2] = ["#0072b2", "#d55e00"];
 const GIVEN: [&str; 2] = ["#56b4e9", "#e69f00"];
 
 /// Draws all scenes.
@@ -56,22 +56,22 @@ fn page(out: &mut String, scenes: &[Measured], title: &str) -> Result {
 }
 
 /// Where values lie on the page.
-struct Place {
-    across: Axis,
-    up: Axis,
-    left: f64,
-    top: f64,
+pub(crate) struct Place {
+    pub(crate) across: Axis,
+    pub(crate) up: Axis,
+    pub(crate) left: f64,
+    pub(crate) top: f64,
 }
 
 impl Place {
     const INNER_WIDTH: f64 = WIDTH - MARGIN[1] - MARGIN[3];
     const INNER_HEIGHT: f64 = HEIGHT - MARGIN[0] - MARGIN[2];
 
-    fn x(&self, value: f64) -> f64 {
+    pub(crate) fn x(&self, value: f64) -> f64 {
         self.left + Self::INNER_WIDTH * self.across.place(value)
     }
 
-    fn y(&self, value: f64) -> f64 {
+    pub(crate) fn y(&self, value: f64) -> f64 {
         self.top + Self::INNER_HEIGHT * (1.0 - self.up.place(value))
     }
 }
@@ -95,7 +95,7 @@ fn panel(
     let place = Place { across, up, left: left + MARGIN[3], top: top + MARGIN[0] };
     let (x, y) = (place.left, place.top - 8.0);
     writeln!(out, r##"<text x="{x:.1}" y="{y:.1}" font-weight="bold" fill="#222222">{}</text>"##, escape(title))?;
-    axes(out, &place, kind)?;
+    axes(out, &place, kind.label())?;
     for (index, (name, value)) in quantities.iter().enumerate() {
         let at = |scene: &&Measured| (place.x(kind.size(scene)), place.y(value(scene)));
         line(out, &made.iter().map(at).collect::<Vec<_>>(), MADE[index], name)?;
@@ -107,7 +107,8 @@ fn panel(
     Ok(())
 }
 
-fn line(out: &mut String, points: &[(f64, f64)], color: &str, name: &str) -> Result {
+/// A line through points on the page, with its name.
+pub(crate) fn line(out: &mut String, points: &[(f64, f64)], color: &str, name: &str) -> Result {
     let list: Vec<String> = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
     writeln!(out, r#"<polyline points="{}" fill="none" stroke="{color}" stroke-width="1.5"/>"#, list.join(" "))?;
     for (x, y) in points {
@@ -117,7 +118,8 @@ fn line(out: &mut String, points: &[(f64, f64)], color: &str, name: &str) -> Res
     writeln!(out, r#"<text x="{:.1}" y="{:.1}" font-size="9" fill="{color}">{name}</text>"#, x + 4.0, y - 6.0)
 }
 
-fn axes(out: &mut String, place: &Place, kind: Kind) -> Result {
+/// Ticks, and what is across.
+pub(crate) fn axes(out: &mut String, place: &Place, label_across: &str) -> Result {
     let (left, right) = (place.left, place.left + Place::INNER_WIDTH);
     let (top, bottom) = (place.top, place.top + Place::INNER_HEIGHT);
     for tick in place.up.ticks() {
@@ -141,6 +143,6 @@ fn axes(out: &mut String, place: &Place, kind: Kind) -> Result {
     writeln!(
         out,
         r##"<path d="M{left:.1} {top:.1}V{bottom:.1}H{right:.1}" fill="none" stroke="#555555"/><text x="{right:.1}" y="{y:.1}" font-size="9" text-anchor="end" fill="#555555">{}</text>"##,
-        kind.label()
+        escape(label_across)
     )
 }

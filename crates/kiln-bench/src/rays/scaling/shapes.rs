@@ -31,7 +31,7 @@ pub(super) fn by_triangles(triangles: u32, counts: RayCounts) -> Case {
 }
 
 /// So many instances of one rock, and the ground.
-pub(super) fn by_instances(rocks: u32, counts: RayCounts) -> Case {
+pub(crate) fn by_instances(rocks: u32, counts: RayCounts) -> Case {
     let meshes = vec![Arc::new(rock()), Arc::new(ground(64, field_m(rocks)))];
     let of_rock = |index| SceneObject { mesh: 0, world_from_object: place(index, rocks) };
     let of_ground = SceneObject { mesh: 1, world_from_object: DAffine3::IDENTITY };

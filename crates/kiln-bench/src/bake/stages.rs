@@ -1,0 +1,101 @@
+//! Where the time of a bake goes, in the rows of Table 1 of Sloan et al. 2013.
+
+use super::report::Report;
+
+/// Seconds that the paper gives for a level of 1.5 million vertices and 1.8 million faces on an NVIDIA K20.
+pub(super) const PAPER_TOTAL_SECS: f64 = 78.0;
+
+/// What a row is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Import,
+    Plan,
+    Load,
+    Build,
+    Trace,
+    Samples,
+    Solve,
+    Export,
+    Other,
+    Total,
+    /// A row of the paper that Kiln does not do.
+    Absent,
+}
+
+/// A row.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Row {
+    pub(super) kind: Kind,
+    pub(super) what: String,
+    /// In words, as some are bounds.
+    pub(super) paper: &'static str,
+    /// Where it is alone.
+    pub(super) wall_secs: Option<f64>,
+    pub(super) cpu_secs: Option<f64>,
+}
+
+/// Rows of the paper for which Kiln has no counterpart yet.
+const ABSENT: [(&str, &str); 5] = [
+    ("Flatten 46 trees, 7,856 proxies of shrubs", "< 1"),
+    ("Sparse volume for trees, 11,829 points", "0.53"),
+    ("Region for dynamic AO, 332,741 points", "9.2"),
+    ("Resample geometry of levels of detail, 5.7 M points", "5.7"),
+    ("Solve for levels of detail, .65 M V, .8 M F", "4.2"),
+];
+
+/// The rows of a bake in one process.
+pub(super) fn rows(report: &Report) -> Vec<Row> {
+    let own = |name: &str| report.stage(name).map_or(0.0, super::report::Stage::own_cpu_seconds);
+    let wall = |name: &str| report.stage(name).map(|stage| stage.seconds);
+    let part = |name: &str| report.part(name);
+    let stages: f64 = report.stages.iter().map(|stage| stage.cpu_seconds).sum();
+    let counts = &report.level;
+    let unknowns: u64 = report.solve.iter().map(|solve| solve.unknowns).sum();
+    let row = |kind, what: String, paper, wall_secs: Option<f64>, cpu: f64| Row {
+        kind,
+        what,
+        paper,
+        wall_secs,
+        cpu_secs: Some(cpu),
+    };
+    let (build, load) = (part("building"), part("loading"));
+    let geometry = format!("Process geometry, {} V, {} F", millions(counts.vertices), millions(counts.faces));
+    let rays = format!("Ray trace samples, {} rays", millions(report.rays.traced));
+    let samples = format!("Sample mesh, {} samples: points, moments, rounds", millions(report.samples.total));
+    let mut rows = vec![
+        row(Kind::Import, geometry, "2", wall("import"), own("import")),
+        row(Kind::Plan, "Plan".to_owned(), "", wall("plan"), own("plan")),
+        row(Kind::Load, "Load the level's meshes".to_owned(), "", Some(load.seconds), load.cpu_seconds),
+        row(Kind::Samples, samples, "< 1", None, own("trace")),
+        row(Kind::Build, "BVH build".to_owned(), "10.5", Some(build.seconds), build.cpu_seconds),
+        row(Kind::Trace, rays, "35.1", None, part("tracing").cpu_seconds),
+        row(Kind::Solve, format!("Least squares solve, {} unknowns", millions(unknowns)), "8.6", None, own("solve")),
+        row(Kind::Export, "Export".to_owned(), "", wall("export"), own("export")),
+        row(
+            Kind::Other,
+            "Storing, scheduling, progress and the rest".to_owned(),
+            "",
+            None,
+            (report.cpu_seconds - stages).max(0.0),
+        ),
+    ];
+    let absent = |(what, paper): (&str, &'static str)| Row {
+        kind: Kind::Absent,
+        what: format!("{what}: not done by Kiln yet"),
+        paper,
+        wall_secs: None,
+        cpu_secs: None,
+    };
+    rows.extend(ABSENT.map(absent));
+    rows.push(row(Kind::Total, "Total".to_owned(), "78", Some(report.seconds), report.cpu_seconds));
+    rows
+}
+
+/// A count, short.
+pub(super) fn millions(count: u64) -> String {
+    match count {
+        0..10_000 => count.to_string(),
+        10_000..1_000_000 => format!("{:.1} k", count as f64 / 1e3),
+        _ => format!("{:.2} M", count as f64 / 1e6),
+    }
+}
