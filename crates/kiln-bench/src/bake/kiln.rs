@@ -84,18 +84,22 @@ impl Kiln {
         command
     }
 
+    /// Removes all results of earlier bakes.
+    pub(super) fn forget(&self) -> Result<(), BenchError> {
+        let data = self.path("data");
+        let removed = if data.exists() { fs::remove_dir_all(&data) } else { Ok(()) };
+        removed.map_err(|error| BenchError::File { path: data, reason: error.to_string() })
+    }
+
     /// Bakes a level from nothing.
     pub(super) fn bake(&self, level: &Path, quality: Quality, variant: Variant) -> Result<Bake, BenchError> {
-        let data = self.path("data");
+        self.forget()?;
+        let options = ["--quality", quality.name()];
         let baked = match variant.place {
-            Place::Process => {
-                self.one_process(level, &["--quality", quality.name()], variant.threads, &self.path("baked.glb"))
-            }
-            Place::Farm => self.on_farm(level, quality, variant, &data),
-        };
-        let removed = if data.exists() { fs::remove_dir_all(&data) } else { Ok(()) };
-        let baked = baked?;
-        removed.map_err(|error| BenchError::File { path: data, reason: error.to_string() })?;
+            Place::Process => self.one_process(level, &options, variant.threads, &self.path("baked.glb")),
+            Place::Farm => self.on_farm(level, quality, variant),
+        }?;
+        self.forget()?;
         Ok(baked)
     }
 
@@ -119,8 +123,8 @@ impl Kiln {
         Ok(Bake { variant, wall_secs, peak_bytes: report.peak_memory_bytes, output: digest(output)?, report })
     }
 
-    fn on_farm(&self, level: &Path, quality: Quality, variant: Variant, data: &Path) -> Result<Bake, BenchError> {
-        let farm = RunningFarm::start(self, variant.threads, data)?;
+    fn on_farm(&self, level: &Path, quality: Quality, variant: Variant) -> Result<Bake, BenchError> {
+        let farm = RunningFarm::start(self, variant.threads, &self.path("data"))?;
         let (output, report) = (self.path("baked.glb"), self.path("report.json"));
         let mut command = self.command("submit");
         command.arg(level).args(["--wait", "--no-progress", "--quality", quality.name()]);

@@ -52,6 +52,7 @@ impl Reference {
         };
         let (part, report) = bake(quality, "part.glb")?;
         let (reference, _) = bake(Quality::Reference, "reference.glb")?;
+        kiln.forget()?;
         // Seen area is found on the reference, whatever it is compared with.
         let text = finish(kiln.command("compare").arg("--json").arg(&reference).arg(&part))?;
         let compared: Comparison = serde_json::from_slice(&text)
