@@ -7,15 +7,15 @@
 
 use crate::node::{BvhChild, BvhLink, WideNode};
 use glam::Vec3;
-use obvhs::{aabb::Aabb, bvh2::Bvh2};
+use obvhs::bvh2::Bvh2;
 use rayon::prelude::*;
 
 /// Cost of visiting a leaf, in visits of a node. Of 0.6, 1.0 and 1.5 the second was fastest on two levels of 268 and 595
 /// thousand triangles, by 1 % and by 5 to 9 %.
 const LEAF_COST: f32 = 1.0;
 
-/// Nodes of a subtree that one thread works on.
-const SUBTREE: usize = 1 << 14;
+/// Nodes of the binary tree for each part that one thread merges, roughly.
+const PART: usize = 1 << 14;
 
 /// A tree over primitives that are known by their boxes only.
 #[derive(Debug, Default)]
@@ -31,7 +31,8 @@ pub(crate) struct WideTree {
 /// A node of the binary tree, in preorder: its left child is the next one, the right child follows the left one's subtree.
 #[derive(Clone, Copy, Debug)]
 struct Subtree {
-    aabb: Aabb,
+    /// Index of the node.
+    node: u32,
     /// Nodes in it, itself included.
     size: u32,
     /// Its primitives, as a run.
@@ -39,145 +40,225 @@ struct Subtree {
     count: u32,
 }
 
-impl Subtree {
-    fn is_leaf(&self) -> bool {
-        self.size == 1
-    }
-}
+/// Cost of a subtree as at most 1 to 7 roots; entry 0 is not used.
+type Costs = [f32; 8];
 
-/// The cheapest ways to represent a subtree.
-#[derive(Clone, Copy, Default)]
-struct Costs {
-    /// As at most 1 to 7 roots; entry 0 is not used.
-    of_roots: [f32; 8],
-    /// Roots that the left child gets when that many are shared out; 0 where one root less costs no more. Entry 0 is for
-    /// the eight slots of a node of its own.
-    left_share: [u8; 8],
-    /// As one root: a leaf, or a node.
-    is_leaf: bool,
+/// How the cheapest ways to represent a subtree begin: roots that the left child gets when so many are shared out; 0 where one
+/// root less costs no more. Entry 0 is for the eight slots of a node of its own, entry 1 is 1 if one root is a leaf.
+type Shares = [u8; 8];
+
+/// A binary tree in preorder, or what of it is above the nodes of some depth.
+#[derive(Debug, Default)]
+struct Binary {
+    tree: Vec<Subtree>,
+    /// Of each subtree, once they are known.
+    shares: Vec<Shares>,
+    /// Its primitives in the order of the leaves, or the nodes at which it was cut.
+    order: Vec<u32>,
 }
 
 /// Merges a binary tree eight-wide. Leaves hold at most `max_leaf` primitives.
 pub(crate) fn collapse(bvh: &Bvh2, max_leaf: usize) -> WideTree {
-    let (tree, order) = preorder(bvh);
-    let costs = costs(&tree, max_leaf);
-    let mut wide = WideTree { nodes: Vec::with_capacity(tree.len() / 24 + 1), order, depth: 0 };
-    wide.nodes.push(WideNode::EMPTY);
+    let binary = weigh(bvh, max_leaf);
+    let mut deferred = Vec::new();
+    let mut wide = widen(bvh, &binary, 0, Some(&mut deferred));
+    let parts: Vec<WideTree> = deferred.par_iter().map(|part| widen(bvh, &binary, part.at, None)).collect();
+    let total = wide.nodes.len() + parts.iter().map(|part| part.nodes.len()).sum::<usize>();
+    wide.nodes.reserve_exact(total - wide.nodes.len());
+    for (Deferred { node, slot, depth, .. }, mut part) in deferred.into_iter().zip(parts) {
+        let first = wide.nodes.len() as u32;
+        wide.nodes[node].children[slot] = BvhLink::Node(first).to_reference();
+        for child in part.nodes.iter_mut().flat_map(|node| &mut node.children) {
+            if let (true, BvhLink::Node(index)) = (*child != u32::MAX, BvhLink::of_reference(*child)) {
+                *child = BvhLink::Node(first + index).to_reference();
+            }
+        }
+        wide.depth = wide.depth.max(depth + part.depth);
+        wide.nodes.append(&mut part.nodes);
+    }
+    WideTree { order: binary.order, ..wide }
+}
+
+/// A subtree that another thread turns into nodes: which one, the slot that leads to it, and the depth of that slot's node.
+struct Deferred {
+    at: usize,
+    node: usize,
+    slot: usize,
+    depth: usize,
+}
+
+/// Turns a subtree into nodes, its own first; with `deferred` all but those that are small enough for a task.
+fn widen(bvh: &Bvh2, binary: &Binary, at: usize, mut deferred: Option<&mut Vec<Deferred>>) -> WideTree {
+    let mut wide = WideTree { nodes: vec![WideNode::EMPTY], order: Vec::new(), depth: 0 };
     // Each entry: subtree to turn into a node, the node's index, its depth.
-    let mut pending = vec![(0usize, 0usize, 1usize)];
-    let mut roots = Vec::with_capacity(8);
-    let mut children = Vec::with_capacity(8);
-    while let Some((at, index, depth)) = pending.pop() {
+    let mut pending = vec![(at, 0usize, 1usize)];
+    let (mut roots, mut children) = (Vec::with_capacity(8), Vec::with_capacity(8));
+    while let Some((at, node, depth)) = pending.pop() {
         wide.depth = wide.depth.max(depth);
         roots.clear();
         children.clear();
-        if costs[at].is_leaf {
+        if is_leaf(&binary.shares[at]) {
             roots.push(at);
         } else {
-            share_out(&tree, &costs, at, 8, &mut roots);
+            share_out(binary, at, 8, &mut roots);
         }
-        for &root in &roots {
-            let Subtree { aabb, first, count, .. } = tree[root];
-            let link = if costs[root].is_leaf {
+        for (slot, &root) in roots.iter().enumerate() {
+            let Subtree { first, count, size, .. } = binary.tree[root];
+            let link = if is_leaf(&binary.shares[root]) {
                 BvhLink::Leaf { first, count }
+            } else if let (true, Some(deferred)) = (size as usize <= PART, deferred.as_deref_mut()) {
+                deferred.push(Deferred { at: root, node, slot, depth });
+                BvhLink::Node(0)
             } else {
                 pending.push((root, wide.nodes.len(), depth + 1));
                 wide.nodes.push(WideNode::EMPTY);
                 BvhLink::Node((wide.nodes.len() - 1) as u32)
             };
+            let aabb = bvh.nodes[binary.tree[root].node as usize].aabb();
             children.push(BvhChild { min: Vec3::from(aabb.min), max: Vec3::from(aabb.max), link });
         }
-        wide.nodes[index] = WideNode::new(&children);
+        wide.nodes[node] = WideNode::new(&children);
     }
     wide
 }
 
-/// The binary tree in preorder, and its primitives in the order of the leaves.
-fn preorder(bvh: &Bvh2) -> (Vec<Subtree>, Vec<u32>) {
-    let mut tree: Vec<Subtree> = Vec::with_capacity(bvh.nodes.len());
-    let mut order = Vec::with_capacity(bvh.primitive_indices.len());
+fn is_leaf(shares: &Shares) -> bool {
+    shares[1] == 1
+}
+
+/// The binary tree in preorder, with the cheapest ways to represent each subtree. It is cut at a depth that gives parts for
+/// all threads; what is above them is put together from what they cost.
+fn weigh(bvh: &Bvh2, max_leaf: usize) -> Binary {
+    let depth = (bvh.nodes.len() / PART + 1).next_power_of_two().ilog2();
+    let top = preorder(bvh, 0, Some(depth));
+    let weigh_part = |root: &u32| {
+        let mut part = preorder(bvh, *root as usize, None);
+        let costs = weigh_all(bvh, &mut part, max_leaf);
+        (part, costs)
+    };
+    let (mut parts, costs): (Vec<Binary>, Vec<Costs>) = top.order.par_iter().map(weigh_part).unzip();
+    let mut whole = Binary::default();
+    if top.tree.len() == 1 {
+        return parts.pop().unwrap_or_default();
+    }
+    let total = top.tree.len() - parts.len() + parts.iter().map(|part| part.tree.len()).sum::<usize>();
+    whole.tree.reserve_exact(total);
+    whole.shares.reserve_exact(total);
+    whole.order.reserve_exact(bvh.primitive_indices.len());
+    // Sizes and runs of the top are those of whole subtrees before it is weighed.
+    let mut parts = parts.into_iter();
+    let mut places = Vec::with_capacity(top.tree.len());
+    for subtree in &top.tree {
+        places.push(whole.tree.len());
+        if subtree.size == 1 {
+            let Some(mut part) = parts.next() else { break };
+            let first = whole.order.len() as u32;
+            whole.tree.extend(part.tree.iter().map(|subtree| Subtree { first: first + subtree.first, ..*subtree }));
+            whole.shares.append(&mut part.shares);
+            whole.order.append(&mut part.order);
+        } else {
+            whole.tree.push(Subtree { first: whole.order.len() as u32, ..*subtree });
+            whole.shares.push(Shares::default());
+        }
+    }
+    weigh_top(bvh, &top, &places, &costs, max_leaf, &mut whole);
+    whole
+}
+
+/// Weighs the inner nodes of the top, which are at given places of the whole.
+fn weigh_top(bvh: &Bvh2, top: &Binary, places: &[usize], parts: &[Costs], max_leaf: usize, whole: &mut Binary) {
+    let mut costs = vec![Costs::default(); top.tree.len()];
+    for at in (0..top.tree.len()).rev() {
+        let subtree = top.tree[at];
+        if subtree.size == 1 {
+            costs[at] = parts[subtree.first as usize];
+            continue;
+        }
+        let children = [at + 1, at + 1 + top.tree[at + 1].size as usize];
+        let [left, right] = children.map(|child| whole.tree[places[child]]);
+        let place = places[at];
+        whole.tree[place].size = 1 + left.size + right.size;
+        whole.tree[place].count = left.count + right.count;
+        let children = Some(children.map(|child| costs[child]));
+        (costs[at], whole.shares[place]) = cost(bvh, &whole.tree[place], children, max_leaf);
+    }
+}
+
+/// Weighs all subtrees of a binary tree. Returns what the whole costs.
+fn weigh_all(bvh: &Bvh2, binary: &mut Binary, max_leaf: usize) -> Costs {
+    let tree = &binary.tree;
+    let mut costs = vec![Costs::default(); tree.len()];
+    binary.shares = vec![Shares::default(); tree.len()];
+    // A parent comes before its children, so that backwards both children are known.
+    for at in (0..tree.len()).rev() {
+        let is_inner = tree[at].size > 1;
+        let children = is_inner.then(|| [costs[at + 1], costs[at + 1 + tree[at + 1].size as usize]]);
+        (costs[at], binary.shares[at]) = cost(bvh, &tree[at], children, max_leaf);
+    }
+    costs.first().copied().unwrap_or_default()
+}
+
+/// The binary tree below a node. Cut at a depth, nodes there are leaves of one thing, themselves.
+fn preorder(bvh: &Bvh2, root: usize, cut: Option<u32>) -> Binary {
+    let mut binary = Binary::default();
+    let Binary { tree, order, .. } = &mut binary;
     enum Step {
-        Enter(usize),
+        Enter(usize, u32),
         /// All of the subtree that begins here has been entered.
         Close(usize),
     }
-    let mut steps = vec![Step::Enter(0)];
+    let mut steps = vec![Step::Enter(root, 0)];
     while let Some(step) = steps.pop() {
         match step {
             Step::Close(at) => {
                 tree[at].size = (tree.len() - at) as u32;
                 tree[at].count = order.len() as u32 - tree[at].first;
             }
-            Step::Enter(index) => {
+            Step::Enter(index, depth) => {
                 let node = &bvh.nodes[index];
-                let first = node.first_index as usize;
-                tree.push(Subtree { aabb: *node.aabb(), size: 1, first: order.len() as u32, count: node.prim_count });
-                if node.is_leaf() {
-                    order.extend_from_slice(&bvh.primitive_indices[first..first + node.prim_count as usize]);
-                } else {
-                    steps.extend([Step::Close(tree.len() - 1), Step::Enter(first + 1), Step::Enter(first)]);
+                let below = node.first_index as usize;
+                let first = order.len() as u32;
+                tree.push(Subtree { node: index as u32, size: 1, first, count: node.prim_count });
+                match cut {
+                    Some(cut) if depth == cut || node.is_leaf() => order.push(index as u32),
+                    _ if node.is_leaf() => {
+                        order.extend_from_slice(&bvh.primitive_indices[below..below + node.prim_count as usize]);
+                    }
+                    _ => {
+                        let close = Step::Close(tree.len() - 1);
+                        steps.extend([close, Step::Enter(below + 1, depth + 1), Step::Enter(below, depth + 1)]);
+                    }
                 }
             }
         }
     }
-    (tree, order)
+    binary
 }
 
-fn costs(tree: &[Subtree], max_leaf: usize) -> Vec<Costs> {
-    let mut costs = vec![Costs::default(); tree.len()];
-    // Subtrees that are small enough, and what is above them.
-    let (mut above, mut runs, mut at) = (Vec::new(), Vec::new(), 0);
-    while at < tree.len() {
-        let size = tree[at].size as usize;
-        if size <= SUBTREE {
-            runs.push((at, size));
-            at += size;
-        } else {
-            above.push(at);
-            at += 1;
-        }
-    }
-    let mut rest = costs.as_mut_slice();
-    let (mut begun, mut parts) = (0, Vec::with_capacity(runs.len()));
-    for &(first, size) in &runs {
-        let (_, from_first) = rest.split_at_mut(first - begun);
-        let (part, after) = from_first.split_at_mut(size);
-        parts.push((&tree[first..first + size], part));
-        (rest, begun) = (after, first + size);
-    }
-    // A parent comes before its children, so that backwards both children are known.
-    parts
-        .into_par_iter()
-        .for_each(|(tree, costs)| (0..tree.len()).rev().for_each(|at| cost(tree, costs, at, max_leaf)));
-    above.into_iter().rev().for_each(|at| cost(tree, &mut costs, at, max_leaf));
-    costs
-}
-
-fn cost(tree: &[Subtree], costs: &mut [Costs], at: usize, max_leaf: usize) {
-    let subtree = &tree[at];
-    let area = subtree.aabb.half_area();
+/// The cheapest ways to represent a subtree, by those of its children.
+fn cost(bvh: &Bvh2, subtree: &Subtree, children: Option<[Costs; 2]>, max_leaf: usize) -> (Costs, Shares) {
+    let area = bvh.nodes[subtree.node as usize].aabb().half_area();
     let as_leaf = if subtree.count as usize <= max_leaf { LEAF_COST * area } else { f32::INFINITY };
-    let mut here = Costs { of_roots: [as_leaf; 8], left_share: [0; 8], is_leaf: true };
-    if !subtree.is_leaf() {
-        let left = costs[at + 1].of_roots;
-        let right = costs[at + 1 + tree[at + 1].size as usize].of_roots;
+    let (mut costs, mut shares) = ([as_leaf; 8], Shares::default());
+    shares[1] = 1;
+    if let Some([left, right]) = children {
         let (inside, share) = cheapest(&left, &right, 8);
-        here.left_share[0] = share;
+        shares[0] = share;
         let as_node = area + inside;
-        here.is_leaf = as_leaf <= as_node;
-        here.of_roots[1] = as_leaf.min(as_node);
+        shares[1] = u8::from(as_leaf <= as_node);
+        costs[1] = as_leaf.min(as_node);
         for roots in 2..8 {
             let (shared, share) = cheapest(&left, &right, roots);
-            let fewer = here.of_roots[roots - 1];
-            here.left_share[roots] = if shared < fewer { share } else { 0 };
-            here.of_roots[roots] = shared.min(fewer);
+            let fewer = costs[roots - 1];
+            shares[roots] = if shared < fewer { share } else { 0 };
+            costs[roots] = shared.min(fewer);
         }
     }
-    costs[at] = here;
+    (costs, shares)
 }
 
 /// The best way to share roots out to two children: cost, and the left one's share.
-fn cheapest(left: &[f32; 8], right: &[f32; 8], roots: usize) -> (f32, u8) {
+fn cheapest(left: &Costs, right: &Costs, roots: usize) -> (f32, u8) {
     let mut best = (f32::INFINITY, 1);
     for share in roots.saturating_sub(7).max(1)..roots.min(8) {
         let cost = left[share] + right[roots - share];
@@ -189,13 +270,13 @@ fn cheapest(left: &[f32; 8], right: &[f32; 8], roots: usize) -> (f32, u8) {
 }
 
 /// Appends the roots of an inner subtree's children, of which there are to be so many at most.
-fn share_out(tree: &[Subtree], costs: &[Costs], at: usize, roots: usize, out: &mut Vec<usize>) {
-    let share = usize::from(costs[at].left_share[roots % 8]);
-    let right = at + 1 + tree[at + 1].size as usize;
+fn share_out(binary: &Binary, at: usize, roots: usize, out: &mut Vec<usize>) {
+    let share = usize::from(binary.shares[at][roots % 8]);
+    let right = at + 1 + binary.tree[at + 1].size as usize;
     for (child, mut roots) in [(at + 1, share), (right, roots - share)] {
-        while roots > 1 && costs[child].left_share[roots] == 0 {
+        while roots > 1 && binary.shares[child][roots] == 0 {
             roots -= 1;
         }
-        if roots == 1 { out.push(child) } else { share_out(tree, costs, child, roots, out) }
+        if roots == 1 { out.push(child) } else { share_out(binary, child, roots, out) }
     }
 }

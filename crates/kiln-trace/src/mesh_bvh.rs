@@ -10,6 +10,7 @@ use glam::{DVec3, Vec3, Vec3A};
 use kiln_core::{Bounds, Mesh};
 use obvhs::aabb::Aabb;
 use rayon::prelude::*;
+use std::collections::HashSet;
 
 /// A mesh's occluding faces in a BVH whose leaves are triangles that are tested side by side.
 ///
@@ -42,17 +43,14 @@ impl MeshBvh {
             bounds.add(Vec3::from(aabb.max).as_dvec3());
         }
         let tree = build(&boxes, MAX_LEAF);
-        let mut triangles = TriangleRuns::with_count(boxes.len());
-        for child in tree.nodes.iter().flat_map(WideNode::slots) {
-            if let BvhLink::Leaf { first, count } = child.link {
-                let mut leaf = [([Vec3::ZERO; 3], 0); MAX_LEAF];
-                for (slot, &index) in leaf.iter_mut().zip(&tree.order[first as usize..(first + count) as usize]) {
-                    let occluder = &occluders[index as usize];
-                    *slot = (occluder.corners, occluder.primitive);
-                }
-                triangles.set_leaf(first, &leaf[..count as usize]);
-            }
-        }
+        let leaves = tree.nodes.iter().flat_map(WideNode::slots).filter_map(|child| match child.link {
+            BvhLink::Leaf { first, count } => Some((first, count)),
+            BvhLink::Node(_) => None,
+        });
+        let triangles = TriangleRuns::new(boxes.len(), leaves, |index| {
+            let occluder = &occluders[tree.order[index as usize] as usize];
+            (occluder.corners, occluder.primitive)
+        });
         Self { nodes: tree.nodes, triangles, bounds }
     }
 
@@ -90,33 +88,13 @@ struct Occluder {
 }
 
 fn occluders(mesh: &Mesh) -> Vec<Occluder> {
-    // Faces of equal corners have equal hashes, so that only those few are compared corner by corner.
-    let mut hashed: Vec<(u64, u32)> = (0..mesh.faces.len() as u32)
+    let occludes = |face: &u32| mesh.group(*face as usize).occludes;
+    let hashes: Vec<u64> = (0..mesh.faces.len() as u32)
         .into_par_iter()
-        .filter(|&face| mesh.group(face as usize).occludes)
-        .map(|face| (hash(&corner_key(mesh.corners(face as usize)).0), face))
+        .filter(occludes)
+        .map(|face| hash(&corner_key(mesh.corners(face as usize)).0))
         .collect();
-    hashed.par_sort_unstable();
-    let is_double_sided = |face: u32| mesh.group(face as usize).double_sided;
-    let mut faces: Vec<(u32, bool)> = Vec::with_capacity(hashed.len());
-    for same in hashed.chunk_by(|a, b| a.0 == b.0) {
-        if let [(_, face)] = same {
-            faces.push((*face, is_double_sided(*face)));
-            continue;
-        }
-        let keyed = |&(_, face): &(u64, u32)| {
-            let (key, is_even) = corner_key(mesh.corners(face as usize));
-            (key, is_even, face)
-        };
-        let mut keyed: Vec<_> = same.iter().map(keyed).collect();
-        keyed.sort_unstable();
-        for same in keyed.chunk_by(|a, b| a.0 == b.0) {
-            let Some(first) = same.iter().map(|&(.., face)| face).min() else { continue };
-            let is_facing_both = same.iter().any(|&(_, is_even, _)| is_even != same[0].1);
-            faces.push((first, is_facing_both || same.iter().any(|&(.., face)| is_double_sided(face))));
-        }
-    }
-    faces.par_sort_unstable();
+    let repeated = repeated(hashes);
     let occluder = |(face, two_sided): (u32, bool)| {
         let (bits, is_even) = corner_key(mesh.corners(face as usize));
         let bit = |is_set: bool, bit: u32| if is_set { bit } else { 0 };
@@ -125,7 +103,42 @@ fn occluders(mesh: &Mesh) -> Vec<Occluder> {
             primitive: face | bit(two_sided, TWO_SIDED_BIT) | bit(!is_even, FLIPPED_BIT),
         }
     };
-    faces.into_par_iter().map(occluder).collect()
+    let is_double_sided = |face: u32| mesh.group(face as usize).double_sided;
+    // Faces of equal corners have equal hashes, so that only those few are compared corner by corner.
+    let is_alone =
+        |face: &u32| repeated.is_empty() || !repeated.contains(&hash(&corner_key(mesh.corners(*face as usize)).0));
+    let all = (0..mesh.faces.len() as u32).into_par_iter().filter(occludes);
+    let mut alone: Vec<Occluder> =
+        all.clone().filter(is_alone).map(|face| occluder((face, is_double_sided(face)))).collect();
+    if !repeated.is_empty() {
+        let merged = coincident(mesh, all.filter(|face| !is_alone(face)).collect());
+        alone.extend(merged.into_iter().map(occluder));
+    }
+    alone
+}
+
+/// The hashes that occur more than once.
+fn repeated(mut hashes: Vec<u64>) -> HashSet<u64> {
+    hashes.par_sort_unstable();
+    hashes.windows(2).filter(|pair| pair[0] == pair[1]).map(|pair| pair[0]).collect()
+}
+
+/// One face of each set of coincident ones among the given, and whether it is front from either side.
+fn coincident(mesh: &Mesh, faces: Vec<u32>) -> Vec<(u32, bool)> {
+    let key = |face: u32| {
+        let (key, is_even) = corner_key(mesh.corners(face as usize));
+        (key, is_even, face)
+    };
+    let mut keyed: Vec<_> = faces.into_iter().map(key).collect();
+    keyed.sort_unstable();
+    let mut merged = Vec::new();
+    for same in keyed.chunk_by(|a, b| a.0 == b.0) {
+        let Some(first) = same.iter().map(|&(.., face)| face).min() else { continue };
+        let is_facing_both = same.iter().any(|&(_, is_even, _)| is_even != same[0].1);
+        let is_double_sided = |&(.., face): &(_, bool, u32)| mesh.group(face as usize).double_sided;
+        merged.push((first, is_facing_both || same.iter().any(is_double_sided)));
+    }
+    merged
 }
 
 /// Mixes the words of a key (the multiplier is that of Knuth's linear congruential generator, MMIX).

@@ -16,6 +16,7 @@ use crate::{
     ray::{TracedRay, WIDEN},
 };
 use glam::Vec3;
+use rayon::prelude::*;
 
 /// Set in a primitive id whose face counts as front from either side.
 pub const TWO_SIDED_BIT: u32 = 1 << 31;
@@ -31,6 +32,9 @@ pub(crate) fn face_of(primitive: u32) -> u32 {
 
 /// Words of a triangle: nine coordinates and its id.
 const WORDS: usize = 10;
+
+/// Triangles that one task of the thread pool writes, about.
+const TRIANGLES_PER_TASK: usize = 1 << 13;
 
 /// Words after the last triangle, so that eight lanes can be read of any row.
 const SLACK: usize = 8;
@@ -49,23 +53,49 @@ pub(crate) struct TriangleRuns {
 }
 
 impl TriangleRuns {
-    /// Room for so many triangles.
-    pub(crate) fn with_count(count: usize) -> Self {
+    /// The triangles of leaves, which are runs of all; `triangle` tells the corners and id of each.
+    pub(crate) fn new(
+        count: usize,
+        leaves: impl Iterator<Item = (u32, u32)>,
+        triangle: impl Fn(u32) -> ([Vec3; 3], u32) + Sync,
+    ) -> Self {
         let mut begins = vec![0; count / 64 + 1];
         begins[count / 64] = 1 << (count % 64);
-        Self { words: vec![0.0; WORDS * count + SLACK], begins, count }
+        leaves.for_each(|(first, _)| begins[first as usize / 64] |= 1 << (first % 64));
+        let mut words = vec![0.0; WORDS * count + SLACK];
+        let mut runs = Self { words: Vec::new(), begins, count };
+        // Whole leaves for each task.
+        let (mut parts, mut rest, mut first) = (Vec::new(), words.as_mut_slice(), 0);
+        while first < count {
+            let end = runs.begin_from((first + TRIANGLES_PER_TASK).min(count));
+            let (part, after) = rest.split_at_mut(WORDS * (end - first));
+            parts.push((first, part));
+            (rest, first) = (after, end);
+        }
+        parts.into_par_iter().for_each(|(first, words)| runs.fill(first, words, &triangle));
+        runs.words = words;
+        runs
     }
 
-    /// Writes a leaf: the triangles from `first`, as corners and id.
-    pub(crate) fn set_leaf(&mut self, first: u32, triangles: &[([Vec3; 3], u32)]) {
-        let (first, n) = (first as usize, triangles.len());
-        self.begins[first / 64] |= 1 << (first % 64);
-        let rows = &mut self.words[WORDS * first..WORDS * (first + n)];
-        for (lane, (corners, id)) in triangles.iter().enumerate() {
-            let coordinates = corners.iter().flat_map(Vec3::to_array);
-            for (row, word) in coordinates.chain([f32::from_bits(*id)]).enumerate() {
-                rows[row * n + lane] = word;
+    /// The first beginning of a leaf from a triangle on.
+    fn begin_from(&self, triangle: usize) -> usize {
+        let is_first = |i: &usize| self.begins[i / 64] >> (i % 64) & 1 == 1;
+        (triangle..self.count).find(is_first).unwrap_or(self.count)
+    }
+
+    /// Writes the rows of leaves from the first on.
+    fn fill(&self, mut first: usize, mut words: &mut [f32], triangle: &impl Fn(u32) -> ([Vec3; 3], u32)) {
+        while !words.is_empty() {
+            let n = self.begin_from(first + 1) - first;
+            let (rows, rest) = words.split_at_mut(WORDS * n);
+            for lane in 0..n {
+                let (corners, id) = triangle((first + lane) as u32);
+                let coordinates = corners.iter().flat_map(Vec3::to_array);
+                for (row, word) in coordinates.chain([f32::from_bits(id)]).enumerate() {
+                    rows[row * n + lane] = word;
+                }
             }
+            (words, first) = (rest, first + n);
         }
     }
 
@@ -187,10 +217,8 @@ mod tests {
 
     fn one(corners: [Vec3; 3], origin: Vec3, direction: Vec3) -> Option<(f32, bool)> {
         let flat = ([Vec3::ONE; 3], 4);
-        let mut runs = TriangleRuns::with_count(6);
-        runs.set_leaf(0, &[flat, flat]);
-        runs.set_leaf(2, &[flat, (corners, 5), flat]);
-        runs.set_leaf(5, &[(corners, 6)]);
+        let all = [flat, flat, flat, (corners, 5), flat, (corners, 6)];
+        let runs = TriangleRuns::new(6, [(0, 2), (2, 3), (5, 1)].into_iter(), |i| all[i as usize]);
         let ray = TracedRay::new(origin, direction);
         let (lanes, entries) = runs.crossed::<Portable>(2, 3, &ray, f32::INFINITY);
         let meet = |lane: u32| meet(runs.corners(2, 3, lane), &ray, entries[lane as usize], f32::INFINITY);
@@ -214,19 +242,22 @@ mod tests {
 
     #[test]
     fn triangles_are_found_again() {
+        const COUNT: u32 = 30_000;
         let triangle = |i: u32| ([Vec3::X, Vec3::Y, Vec3::Z].map(|axis| axis * i as f32), i | TWO_SIDED_BIT);
-        let all: Vec<_> = (0..200).map(triangle).collect();
-        let mut runs = TriangleRuns::with_count(200);
+        let mut leaves = Vec::new();
         let mut first = 0;
         for n in (1..=8).cycle() {
-            let end = (first + n).min(200);
-            runs.set_leaf(first as u32, &all[first..end]);
-            first = end;
-            if first == 200 {
+            let n = n.min(COUNT - first);
+            if n == 0 {
                 break;
             }
+            leaves.push((first, n));
+            first += n;
         }
-        assert!((0..200).all(|i| runs.triangle(i) == all[i as usize]));
+        // In any order.
+        leaves.reverse();
+        let runs = TriangleRuns::new(COUNT as usize, leaves.into_iter(), triangle);
+        assert!((0..COUNT).all(|i| runs.triangle(i) == triangle(i)));
     }
 
     fn point() -> impl Strategy<Value = Vec3> {
