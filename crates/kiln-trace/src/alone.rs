@@ -6,7 +6,7 @@ use crate::{
     mesh_bvh::MeshBvh,
     node::{BvhLink, LEAF_BIT, MAX_STACK, WideNode},
     path::{Compiled, Kernel},
-    ray::{TracedRay, WIDEN},
+    ray::{HIT_SLACK, TracedRay, WIDEN},
     triangle::{FLIPPED_BIT, TWO_SIDED_BIT, face_of, meet},
 };
 
@@ -88,7 +88,7 @@ fn precedes(hit: &Hit, best: &Hit) -> bool {
     hit.t < best.t || (hit.t == best.t && key(hit) < key(best))
 }
 
-/// Entry distance of each child's box, and the children that are entered up to `t_max`, widened.
+/// Entry distance of each child's box, and the children that are entered up to `t_max`, times [`HIT_SLACK`].
 #[inline(always)]
 fn enter<V: Lanes>(node: &WideNode, ray: &TracedRay, t_max: f32) -> ([f32; 8], u32) {
     let mut near = V::splat(0.0);
@@ -100,7 +100,7 @@ fn enter<V: Lanes>(node: &WideNode, ray: &TracedRay, t_max: f32) -> ([f32; 8], u
         near = near_plane.sub(origin).mul(inverse).max(near);
         far = far_plane.sub(origin).mul(inverse).min(far);
     }
-    let far = far.mul(V::splat(WIDEN)).min(V::splat(t_max * WIDEN));
+    let far = far.mul(V::splat(WIDEN)).min(V::splat(t_max * HIT_SLACK));
     let mut distances = [0.0; 8];
     near.store(&mut distances);
     (distances, V::bits(near.le(far)))
@@ -160,7 +160,7 @@ impl<L: Leaves, const ANY: bool> Kernel for Walk<'_, L, ANY> {
                     return;
                 }
                 top -= 1;
-                if stack[top].near <= best.t * WIDEN {
+                if stack[top].near <= best.t * HIT_SLACK {
                     current = stack[top].reference;
                     break;
                 }

@@ -11,14 +11,14 @@
 //! are never copied; a child's turn is by the first ray that enters it, its rays are tested again by the distances that
 //! were kept when its turn comes.
 //!
-//! The order of visits changes no result: see [`crate::triangle`], `WIDEN` in [`crate::ray`] and the tie rule.
+//! The order of visits changes no result: see [`crate::triangle`], `HIT_SLACK` in [`crate::ray`] and the tie rule.
 
 use crate::{
     Hit,
     lanes::Lanes,
     node::{BvhLink, LEAF_BIT, MAX_DEPTH, MAX_STACK, WideNode},
     path::{Compiled, Kernel},
-    ray::{TracedRay, WIDEN},
+    ray::{HIT_SLACK, TracedRay, WIDEN},
 };
 
 /// Rays of a bundle.
@@ -89,7 +89,7 @@ impl Hits {
     #[inline(always)]
     pub(crate) fn set<const ANY: bool>(&mut self, ray: usize, hit: Hit) {
         self.best[ray % BUNDLE] = hit;
-        self.reach[ray % BUNDLE] = if ANY && hit.instance != u32::MAX { -1.0 } else { hit.t * WIDEN };
+        self.reach[ray % BUNDLE] = if ANY && hit.instance != u32::MAX { -1.0 } else { hit.t * HIT_SLACK };
     }
 }
 

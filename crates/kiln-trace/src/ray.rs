@@ -3,9 +3,12 @@
 use glam::Vec3;
 
 /// Widens a far distance beyond the rounding error of the slab test, 1 + 2γ₃ and a little more (Ize 2013, "Robust BVH ray
-/// traversal"), and the distance of a hit, so that the boxes of instances are entered whose rays are rounded on their way
-/// into object space.
+/// traversal").
 pub(crate) const WIDEN: f32 = 1.000_000_6;
+
+/// Widens the distance of a hit: what is entered this little behind it may tie with it, distances being rounded to 19 bits.
+/// It is enough too for the boxes of instances, whose rays are rounded on their way into object space.
+pub(crate) const HIT_SLACK: f32 = 1.000_008;
 
 /// Directions shorter than this along an axis count as this long in box tests only, so that no 0 · ∞ occurs.
 const LEAST_DIRECTION: f32 = 1e-18;

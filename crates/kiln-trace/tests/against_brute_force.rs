@@ -222,7 +222,7 @@ proptest! {
         }
     }
 
-    /// Distances are those of the faces' planes to the last bits of f32, however large the face and near the ray's origin.
+    /// Distances are those of the faces' planes to 19 bits, however large the face and near the ray's origin.
     #[test]
     fn distances_are_those_of_planes(
         corners in corners(), size in -3f32..4.0, s in 0.01f32..0.98, r in 0.01f32..0.99, direction in vec3(), reach in -4f32..2.0,
@@ -241,8 +241,31 @@ proptest! {
         let inside = f64::from(s.min(1.0 - s) * r.min(1.0 - r)) * thinness;
         let is_clear = inside > 1e-4 && normal.dot(d).abs() > 1e-3 * normal.length() * d.length();
         if is_clear && hit.is_hit() {
-            prop_assert!((f64::from(hit.t) - plane).abs() <= 1e-6 * plane.abs(), "{hit:?} {plane}");
+            prop_assert!((f64::from(hit.t) - plane).abs() <= 3e-6 * plane.abs(), "{hit:?} {plane}");
         }
+    }
+
+    /// Walls back to back, of instances whose rays are rounded differently: the front one is found, but for the few rays whose
+    /// distances lie where rounding parts.
+    #[test]
+    fn coincident_faces_of_different_instances_tie(
+        at in prop::array::uniform3(-9i32..10), steps in 1i32..5, aims in prop::collection::vec((vec3(), vec3(), 0.2f32..3.0), 256),
+    ) {
+        let wall = [Vec3::new(0.5, -1.0, -1.0), Vec3::new(0.5, 1.0, -1.0), Vec3::new(0.5, 0.0, 1.0)];
+        let back = [wall[0], wall[2], wall[1]].map(|p| p - Vec3::X * steps as f32);
+        let at = DVec3::from_array(at.map(f64::from));
+        let place = |mesh, x: f64| SceneObject { mesh, world_from_object: DAffine3::from_translation(at + DVec3::X * x) };
+        let tracer = tracer(&[mesh(&[wall]), mesh(&[back])], &[place(1, f64::from(steps)), place(0, 0.0)]);
+        let mut wrong = 0;
+        for (target, side, distance) in &aims {
+            let target = at + wall[2].lerp(Vec3::new(0.5, 0.3 * target.y, -0.5), 0.5 + 0.4 * target.z.abs()).as_dvec3();
+            let direction = Vec3::new(-1.0 - side.x.abs(), side.y, side.z);
+            let origin = (target - direction.as_dvec3() * f64::from(*distance)).as_vec3();
+            let hit = tracer.closest_hit(&Ray { origin, direction, t_max: f32::INFINITY });
+            prop_assert!(hit.is_hit(), "{origin} {direction}");
+            wrong += usize::from(hit.back_face);
+        }
+        prop_assert!(wrong <= aims.len() / 10, "{wrong} of {}", aims.len());
     }
 
     /// Rays at points of an edge that two faces share hit one of them, also where the edge lies in a side of their boxes.
