@@ -7,8 +7,6 @@ const PLANES_WORD: u32 = 2u;
 
 // Bound on the rounding error of a plane's distance, relative to its terms; node.rs derives it.
 const BOX_ROUNDING: f32 = 1e-6f;
-// Widens the distance of a hit, whose error is that of the triangle test. Keep in sync with kiln-trace's ray.rs.
-const HIT_SLACK: f32 = 1.0001f;
 const LEAST_DIRECTION: f32 = 1e-18f;
 // No term of a distance is greater, so that none is infinite.
 const MOST_STEP: f32 = 1e35f;
@@ -57,7 +55,7 @@ fn entered(ray: SlabRay, head: vec4<u32>, first_word: u32, t_max: f32) -> u32 {
     let far_x = select(x.zw, x.xy, is_down.x);
     let far_y = select(y.zw, y.xy, is_down.y);
     let far_z = select(z.zw, z.xy, is_down.z);
-    let last = vec4(t_max * HIT_SLACK);
+    let last = vec4(t_max);
     let near_0 = max(
         max(bytes(near_x.x) * step.x + near.x, bytes(near_y.x) * step.y + near.y),
         max(bytes(near_z.x) * step.z + near.z, vec4(0f)),

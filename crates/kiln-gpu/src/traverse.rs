@@ -20,8 +20,8 @@
 //!   keeps nine registers free.
 //! - A group keeps no distances: it is not tested again when it is popped, but its children are tested against the closest
 //!   hit so far when their own node is read.
-//! - The triangle test is the CPU's to the bit where the device rounds as IEEE 754 does ([`crate::triangle`]); boxes are
-//!   conservative ([`crate::node`]). So the closest hit is that of all triangles, whatever tree and order of visits.
+//! - Whether a triangle is hit says the CPU's test to the bit where the device rounds as IEEE 754 does, how far away the same plane in f32
+//!   ([`crate::triangle`]); boxes are conservative ([`crate::node`]). So the closest hit is that of all triangles, whatever tree and order of visits.
 //! - An any-hit kernel is the same traversal, left at the first hit.
 //!
 //! # What a ray costs

@@ -51,7 +51,8 @@ fn turned(row: vec4<f32>, v: vec3<f32>) -> f32 {
 
 // Tests the triangles of the given leaves of a node. `leaves` is the node's second word.
 fn visit_leaves(
-    ray: ShearedRay, leaves: vec4<u32>, hit_leaves: u32, triangle_words: u32, instance: u32, closest: ClosestHit
+    slab: SlabRay, sheared: ShearedRay, leaves: vec4<u32>, hit_leaves: u32, triangle_words: u32, instance: u32,
+    closest: ClosestHit
 ) -> ClosestHit {
     var hit = closest;
     var waiting = hit_leaves;
@@ -76,7 +77,7 @@ fn visit_leaves(
         if COUNT_VISITS {
             visits.y++;
         }
-        hit = intersect(ray, at, instance, hit);
+        hit = intersect(slab, sheared, at, instance, hit);
         at += TRIANGLE_WORDS;
         left--;
     }
@@ -133,7 +134,7 @@ fn closest_hit(origin: vec3<f32>, direction: vec3<f32>, t_max: f32) -> ClosestHi
             group = vec2(links.x, in_order(hits & children, slab.octant) | (children << 8u) | (nodes << 16u));
             let leaves = select(hits & ~nodes, 0u, is_top);
             if leaves != 0u {
-                hit = visit_leaves(sheared, links, leaves, triangle_words, instance, hit);
+                hit = visit_leaves(slab, sheared, links, leaves, triangle_words, instance, hit);
                 if ANY_HIT && hit.rank != MISS_RANK {
                     break;
                 }
@@ -149,7 +150,7 @@ fn closest_hit(origin: vec3<f32>, direction: vec3<f32>, t_max: f32) -> ClosestHi
             let o = vec3(turned(x, origin) + x.w, turned(y, origin) + y.w, turned(z, origin) + z.w);
             let d = vec3(turned(x, direction), turned(y, direction), turned(z, direction));
             slab = slab_ray(o, d);
-            sheared = sheared_ray(o, d);
+            sheared = sheared_ray(d);
             node_words = to.x;
             triangle_words = to.y;
             instance = to.z;

@@ -4,9 +4,18 @@
 //! then a triangle would take ten loads instead of three, none of them aligned: bytes are dear where they come from
 //! memory, and there a line of 64 or 128 bytes is read whatever is asked for.
 //!
-//! Products of the edge functions and of the shear pass through `rounded`, an exclusive or with a zero that no compiler
-//! can see through. Drivers may fuse a product into a sum (WGSL cannot forbid it), and edge functions of neighbouring faces
-//! would no longer be exact negatives: rays would slip through. Elsewhere fusing does no harm.
+//! Whether a ray is inside is said by the watertight edge functions. Products of these and of the shear pass through `rounded`, an
+//! exclusive or with a zero that no compiler can see through. Drivers may fuse a product into a sum (WGSL cannot forbid it), and
+//! edge functions of neighbouring faces would no longer be exact negatives: rays would slip through. Elsewhere fusing does no
+//! harm.
+//!
+//! How far away the hit is says the triangle's plane, `n (a − o) / n d` with `n = (b − a) × (c − a)`: its error is some units
+//! in the last place of the distance from the ray's origin to `a`, over the cosine, where that of the edge functions grows with the distance
+//! over the triangle's size, too. The distance is then kept between those at which the ray enters and leaves the triangle's own box. So no
+//! box that holds the triangle is further than its hit, to the rounding that boxes allow for ([`crate::node`]), and boxes need no further
+//! slack behind a hit; and slivers and rays in the plane, whose distance is mostly error, get one that lies where the triangle does.
+//! Corners lie in the order of their bits, with a bit where that is not the winding: coincident faces have distances that are equal bit
+//! for bit, in whatever order and winding their meshes have them, and the tie rule decides.
 
 use bytemuck::{Pod, Zeroable};
 use kiln_trace::MeshBvh;

@@ -1,5 +1,5 @@
-// The watertight triangle test and the tie rule. Keep in sync with triangle.rs here, and with kiln-trace's triangle.rs
-// and cpu.rs, whose arithmetic this is.
+// The watertight triangle test, the distance of a hit and the tie rule. Keep in sync with triangle.rs here, which says how, and
+// with kiln-trace's triangle.rs and alone.rs.
 
 const NO_PRIMITIVE: u32 = 0xffffffffu;
 const TWO_SIDED_BIT: u32 = 0x80000000u;
@@ -21,8 +21,9 @@ struct ClosestHit {
 
 struct ShearedRay {
     axes: vec3<u32>,
-    shear: vec3<f32>,
-    origin: vec3<f32>,
+    // What x and y are sheared by for each unit along z.
+    shear: vec2<f32>,
+    direction: vec3<f32>,
 }
 
 // Keeps a product from being fused with a later sum: it must be rounded before the bits can be had.
@@ -34,7 +35,7 @@ fn component(v: vec3<f32>, axis: u32) -> f32 {
     return select(select(v.x, v.y, axis == 1u), v.z, axis == 2u);
 }
 
-fn sheared_ray(origin: vec3<f32>, direction: vec3<f32>) -> ShearedRay {
+fn sheared_ray(direction: vec3<f32>) -> ShearedRay {
     let size = abs(direction);
     let z = select(select(2u, 1u, size.y > size.z), 0u, size.x > size.y && size.x > size.z);
     let next = select(z + 1u, 0u, z == 2u);
@@ -43,19 +44,33 @@ fn sheared_ray(origin: vec3<f32>, direction: vec3<f32>) -> ShearedRay {
     // A negative z mirrors; turning the axes back keeps the winding.
     let x = select(next, last, along < 0f);
     let y = select(last, next, along < 0f);
-    let shear = vec3(component(direction, x) / along, component(direction, y) / along, 1f / along);
-    return ShearedRay(
-        vec3(x, y, z), shear, vec3(component(origin, x), component(origin, y), component(origin, z))
-    );
+    let shear = vec2(component(direction, x) / along, component(direction, y) / along);
+    return ShearedRay(vec3(x, y, z), shear, direction);
 }
 
-// A corner relative to the ray: x and y across it, z along it in units of the direction.
-fn relative(ray: ShearedRay, corner: vec3<u32>) -> vec3<f32> {
-    let at = bitcast<vec3<f32>>(corner);
-    let turned = vec3(component(at, ray.axes.x), component(at, ray.axes.y), component(at, ray.axes.z)) - ray.origin;
-    let along = turned.z * ray.shear;
-    let across = turned.xy - rounded(along).xy;
-    return vec3(across, along.z);
+// Where a corner is across the ray; `corner` is relative to the ray's origin.
+fn across(ray: ShearedRay, corner: vec3<f32>) -> vec2<f32> {
+    let along = vec3(component(corner, ray.axes.z) * ray.shear, 0f);
+    return vec2(component(corner, ray.axes.x), component(corner, ray.axes.y)) - rounded(along).xy;
+}
+
+// Where the ray meets the plane of the triangle with these corners, kept within the triangle's own box; `a_from_origin` is
+// the first of them, relative to the ray's origin.
+fn plane_distance(
+    slab: SlabRay, direction: vec3<f32>, a: vec3<f32>, b: vec3<f32>, c: vec3<f32>, a_from_origin: vec3<f32>
+) -> f32 {
+    let normal = cross(b - a, c - a);
+    let slope = dot(normal, direction);
+    let is_down = slab.inverse < vec3(0f);
+    let least = min(min(a, b), c);
+    let greatest = max(max(a, b), c);
+    let enters = (select(least, greatest, is_down) - slab.origin) * slab.inverse;
+    let leaves = (select(greatest, least, is_down) - slab.origin) * slab.inverse;
+    let near = max(max(enters.x, enters.y), enters.z);
+    let far = min(min(leaves.x, leaves.y), leaves.z);
+    // A ray in the plane, to rounding, has no distance but that of the box.
+    let distance = select(dot(normal, a_from_origin) / slope, near, slope == 0f);
+    return max(min(distance, far), near);
 }
 
 // The tie rule: at equal distances front faces come first, then the lowest instance, then the lowest face.
@@ -71,18 +86,26 @@ fn closer(hit: ClosestHit, t: f32, is_counter_clockwise: bool, primitive: u32, i
     return hit;
 }
 
-fn intersect(ray: ShearedRay, first_word: u32, instance: u32, closest: ClosestHit) -> ClosestHit {
+fn intersect(
+    slab: SlabRay, sheared: ShearedRay, first_word: u32, instance: u32, closest: ClosestHit
+) -> ClosestHit {
     let first = geometry(first_word);
-    let a = relative(ray, first.xyz);
-    let b = relative(ray, geometry(first_word + 1u).xyz);
-    let c = relative(ray, geometry(first_word + 2u).xyz);
+    let a = bitcast<vec3<f32>>(first.xyz);
+    let b = bitcast<vec3<f32>>(geometry(first_word + 1u).xyz);
+    let c = bitcast<vec3<f32>>(geometry(first_word + 2u).xyz);
+    let a_from_origin = a - slab.origin;
+    let p = across(sheared, a_from_origin);
+    let q = across(sheared, b - slab.origin);
+    let r = across(sheared, c - slab.origin);
     // The edge functions.
-    let uvw = rounded(vec3(c.x, a.x, b.x) * vec3(b.y, c.y, a.y)) - rounded(vec3(c.y, a.y, b.y) * vec3(b.x, c.x, a.x));
+    let uvw = rounded(vec3(r.x, p.x, q.x) * vec3(q.y, r.y, p.y)) - rounded(vec3(r.y, p.y, q.y) * vec3(q.x, r.x, p.x));
     let determinant = uvw.x + uvw.y + uvw.z;
     let is_inside = min(min(uvw.x, uvw.y), uvw.z) >= 0f || max(max(uvw.x, uvw.y), uvw.z) <= 0f;
-    let t = (uvw.x * a.z + uvw.y * b.z + uvw.z * c.z) / determinant;
-    if is_inside && determinant != 0f && t > 0f && t <= closest.t {
-        return closer(closest, t, determinant > 0f, first.w, instance);
+    if is_inside && determinant != 0f {
+        let t = plane_distance(slab, sheared.direction, a, b, c, a_from_origin);
+        if t > 0f && t <= closest.t {
+            return closer(closest, t, determinant > 0f, first.w, instance);
+        }
     }
     return closest;
 }

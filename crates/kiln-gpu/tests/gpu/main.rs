@@ -1,5 +1,6 @@
 //! The GPU tracer on a software Vulkan driver: one program, since all its tests share a device.
 
+mod alone;
 mod contract;
 mod faults;
 mod oracles;

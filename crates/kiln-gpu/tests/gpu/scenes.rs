@@ -115,7 +115,7 @@ pub(crate) struct TestScene {
 }
 
 impl TestScene {
-    fn new(name: &'static str, triangles: &[Triangle], objects: Vec<SceneObject>) -> Self {
+    pub(crate) fn new(name: &'static str, triangles: &[Triangle], objects: Vec<SceneObject>) -> Self {
         Self { name, meshes: vec![mesh(triangles, usize::MAX)], objects }
     }
 
