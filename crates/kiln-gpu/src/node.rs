@@ -15,8 +15,9 @@
 //!   node and axis (in the sense of Ize 2013, "Robust BVH ray traversal", for a form in which terms cancel). It
 //!   is less than a 4,000th of a quantisation step, so it costs no visits that count.
 //! - A hit is never nearer than its triangle's own box, `(p − o) · inv` with the same `inv`, in error by 2 u of itself ([`crate::triangle`]).
-//!   Beside the 4 u that the sum above has without the division, that is within the slack: a box that holds a nearer hit, or a tie,
-//!   is never left out, and the closest hit is that of each triangle alone.
+//!   Beside the 4 u that the sum above has without the division, that is within the slack; so are the 10 u by which the triangle's own
+//!   far distance is widened, which its ray must not pass by. A box that holds a nearer hit, or a tie, is never left out, and the
+//!   closest hit is that of each triangle alone.
 //! - Terms beyond 10³⁷ are cut there, so that no infinity and no NaN occurs, which a driver may assume. That holds for
 //!   coordinates up to 10¹⁹.
 

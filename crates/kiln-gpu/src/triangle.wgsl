@@ -12,6 +12,9 @@ const MISS_RANK: u32 = 0x7fffffffu;
 
 const TRIANGLE_WORDS: u32 = 3u;
 
+// Widens the far distance of a triangle's own box, as kiln-trace's ray.rs; less than what other boxes are widened by.
+const WIDEN: f32 = 1.0000006f;
+
 struct ClosestHit {
     t: f32,
     // Instance, with BACK_BIT.
@@ -54,8 +57,8 @@ fn across(ray: ShearedRay, corner: vec3<f32>) -> vec2<f32> {
     return vec2(component(corner, ray.axes.x), component(corner, ray.axes.y)) - rounded(along).xy;
 }
 
-// Where the ray meets the plane of the triangle with these corners, kept within the triangle's own box; `a_from_origin` is
-// the first of them, relative to the ray's origin.
+// Where the ray meets the plane of the triangle with these corners, kept within the triangle's own box, or below 0 where it passes
+// by that; `a_from_origin` is the first of them, relative to the ray's origin.
 fn plane_distance(
     slab: SlabRay, direction: vec3<f32>, a: vec3<f32>, b: vec3<f32>, c: vec3<f32>, a_from_origin: vec3<f32>
 ) -> f32 {
@@ -67,10 +70,11 @@ fn plane_distance(
     let enters = (select(least, greatest, is_down) - slab.origin) * slab.inverse;
     let leaves = (select(greatest, least, is_down) - slab.origin) * slab.inverse;
     let near = max(max(enters.x, enters.y), enters.z);
-    let far = min(min(leaves.x, leaves.y), leaves.z);
+    let far = min(min(leaves.x, leaves.y), leaves.z) * WIDEN;
     // A ray in the plane, to rounding, has no distance but that of the box.
     let distance = select(dot(normal, a_from_origin) / slope, near, slope == 0f);
-    return max(min(distance, far), near);
+    // As on the CPU, nothing is hit whose box the ray does not enter: the tree would not have come here.
+    return select(-1f, max(min(distance, far), near), near <= far);
 }
 
 // The tie rule: at equal distances front faces come first, then the lowest instance, then the lowest face.
