@@ -62,7 +62,10 @@ fn across(ray: ShearedRay, corner: vec3<f32>) -> vec2<f32> {
 fn plane_distance(
     slab: SlabRay, direction: vec3<f32>, a: vec3<f32>, b: vec3<f32>, c: vec3<f32>, a_from_origin: vec3<f32>
 ) -> f32 {
-    let normal = cross(b - a, c - a);
+    let scaled_normal = cross(b - a, c - a);
+    let scale = max(max(abs(scaled_normal.x), abs(scaled_normal.y)), abs(scaled_normal.z));
+    // 1 along its greatest axis, so that in planes of the axes the distance is one division, whatever the triangle.
+    let normal = scaled_normal / scale;
     let slope = dot(normal, direction);
     let is_down = slab.inverse < vec3(0f);
     let least = min(min(a, b), c);
@@ -72,7 +75,7 @@ fn plane_distance(
     let near = max(max(enters.x, enters.y), enters.z);
     let far = min(min(leaves.x, leaves.y), leaves.z) * WIDEN;
     // A ray in the plane, to rounding, has no distance but that of the box.
-    let distance = select(dot(normal, a_from_origin) / slope, near, slope == 0f);
+    let distance = select(dot(normal, a_from_origin) / slope, near, slope == 0f || scale == 0f);
     // As on the CPU, nothing is hit whose box the ray does not enter: the tree would not have come here.
     return select(-1f, max(min(distance, far), near), near <= far);
 }
