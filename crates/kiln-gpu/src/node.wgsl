@@ -7,6 +7,8 @@ const PLANES_WORD: u32 = 2u;
 
 // Bound on the rounding error of a plane's distance, relative to its terms; node.rs derives it.
 const BOX_ROUNDING: f32 = 1e-6f;
+// What is entered this little behind a hit may tie with it: distances are rounded to 19 bits.
+const HIT_SLACK: f32 = 1.000008f;
 const LEAST_DIRECTION: f32 = 1e-18f;
 // No term of a distance is greater, so that none is infinite.
 const MOST_STEP: f32 = 1e35f;
@@ -55,7 +57,7 @@ fn entered(ray: SlabRay, head: vec4<u32>, first_word: u32, t_max: f32) -> u32 {
     let far_x = select(x.zw, x.xy, is_down.x);
     let far_y = select(y.zw, y.xy, is_down.y);
     let far_z = select(z.zw, z.xy, is_down.z);
-    let last = vec4(t_max);
+    let last = vec4(t_max * HIT_SLACK);
     let near_0 = max(
         max(bytes(near_x.x) * step.x + near.x, bytes(near_y.x) * step.y + near.y),
         max(bytes(near_z.x) * step.z + near.z, vec4(0f)),

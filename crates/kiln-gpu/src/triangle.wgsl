@@ -77,7 +77,12 @@ fn plane_distance(
     // A ray in the plane, to rounding, has no distance but that of the box.
     let distance = select(dot(normal, a_from_origin) / slope, near, slope == 0f || scale == 0f);
     // As on the CPU, nothing is hit whose box the ray does not enter: the tree would not have come here.
-    return select(-1f, max(min(distance, far), near), near <= far);
+    return select(-1f, coarse(max(min(distance, far), near)), near <= far);
+}
+
+// A distance to 19 bits, so that faces that coincide tie although distances are rounded; it keeps their order.
+fn coarse(t: f32) -> f32 {
+    return bitcast<f32>((bitcast<u32>(t) + 16u) & 0xffffffe0u);
 }
 
 // The tie rule: at equal distances front faces come first, then the lowest instance, then the lowest face.
