@@ -7,7 +7,7 @@ const PLANES_WORD: u32 = 2u;
 
 // Bound on the rounding error of a plane's distance, relative to its terms; node.rs derives it.
 const BOX_ROUNDING: f32 = 1e-6f;
-// What is entered this little behind a hit may tie with it: distances are rounded to 19 bits.
+// What is entered this little behind a hit may tie with it: distances are rounded to 18 bits.
 const HIT_SLACK: f32 = 1.000008f;
 const LEAST_DIRECTION: f32 = 1e-18f;
 // No term of a distance is greater, so that none is infinite.

@@ -6,7 +6,7 @@ use glam::Vec3;
 /// traversal").
 pub(crate) const WIDEN: f32 = 1.000_000_6;
 
-/// Widens the distance of a hit: what is entered this little behind it may tie with it, distances being rounded to 19 bits.
+/// Widens the distance of a hit: what is entered this little behind it may tie with it, distances being rounded to 18 bits.
 /// It is enough too for the boxes of instances, whose rays are rounded on their way into object space.
 pub(crate) const HIT_SLACK: f32 = 1.000_008;
 

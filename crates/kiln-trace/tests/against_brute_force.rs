@@ -222,7 +222,7 @@ proptest! {
         }
     }
 
-    /// Distances are those of the faces' planes to 19 bits, however large the face and near the ray's origin.
+    /// Distances are those of the faces' planes to 18 bits, however large the face and near the ray's origin.
     #[test]
     fn distances_are_those_of_planes(
         corners in corners(), size in -3f32..4.0, s in 0.01f32..0.98, r in 0.01f32..0.99, direction in vec3(), reach in -4f32..2.0,
@@ -241,7 +241,7 @@ proptest! {
         let inside = f64::from(s.min(1.0 - s) * r.min(1.0 - r)) * thinness;
         let is_clear = inside > 1e-4 && normal.dot(d).abs() > 1e-3 * normal.length() * d.length();
         if is_clear && hit.is_hit() {
-            prop_assert!((f64::from(hit.t) - plane).abs() <= 3e-6 * plane.abs(), "{hit:?} {plane}");
+            prop_assert!((f64::from(hit.t) - plane).abs() <= 5e-6 * plane.abs(), "{hit:?} {plane}");
         }
     }
 
