@@ -3,7 +3,7 @@
 use crate::{
     ArtefactError, Artefacts, CancelFlag, Executor, TaskError,
     account::{Part, Sheet},
-    threads::TaskThreads,
+    threads::{TaskSize, TaskThreads},
 };
 use bytes::Bytes;
 use kiln_core::{Digest, TaskKey, TaskSpec};
@@ -95,7 +95,7 @@ impl Bench {
         for (i, task) in tasks.iter().cloned().enumerate() {
             let (send, progress) = (send.clone(), Arc::clone(progress));
             let (executor, artefacts) = (Arc::clone(&self.executor), Arc::clone(&self.artefacts));
-            self.threads.run(move || {
+            self.threads.run(size(&task.spec), move || {
                 let outcome = run_task(&task, &*executor, &*artefacts, &|rays| progress(0, rays));
                 progress(1, 0);
                 // The receiver waits until every sender is gone.
@@ -125,6 +125,17 @@ fn result(task: &Done) -> v1::TaskResult {
         loading: part(Part::Loading),
         building: part(Part::Building),
         tracing: part(Part::Tracing),
+    }
+}
+
+/// Pieces of an instance whose solve has no work for several threads: some thousand unknowns.
+const PIECES_OF_SMALL_SOLVE: usize = 4;
+
+fn size(spec: &TaskSpec) -> TaskSize {
+    match spec {
+        TaskSpec::Trace { .. } => TaskSize::Small,
+        TaskSpec::Solve { moments, .. } if moments.len() <= PIECES_OF_SMALL_SOLVE => TaskSize::Small,
+        TaskSpec::Solve { .. } | TaskSpec::Import { .. } | TaskSpec::Plan(_) | TaskSpec::Export(_) => TaskSize::Large,
     }
 }
 

@@ -5,6 +5,7 @@ use super::{Backend, out_of_range};
 use crate::{
     Artefacts, TaskError,
     account::{self, Part},
+    threads::on_all_threads,
 };
 use glam::{DAffine3, DVec3};
 use kiln_core::{Bounds, Class, Digest, FaceGroup, Instance, Level, Mesh, REACH_EPSILON, codec};
@@ -95,7 +96,7 @@ impl LoadedLevel {
             let tracer = backend.tracer(&scene).map_err(|error| error.to_string())?;
             Ok((scene, tracer))
         };
-        let build = || account::part(Part::Building, build);
+        let build = || on_all_threads(|| account::part(Part::Building, build));
         account::waiting(|| self.tracer.get_or_init(build))
             .as_ref()
             .map_err(|reason| TaskError::Failed { reason: reason.clone() })
@@ -184,11 +185,15 @@ impl LevelCache {
     /// The level, loaded by the first task that asks; the others wait for it.
     pub(super) fn get(&self, digest: Digest, artefacts: &dyn Artefacts) -> Result<Arc<LoadedLevel>, TaskError> {
         let slot = self.slot(digest);
+        if let Some(level) = slot.level.get() {
+            return Ok(Arc::clone(level));
+        }
         let _loading = account::waiting(|| slot.loading.lock()).unwrap_or_else(PoisonError::into_inner);
         if let Some(level) = slot.level.get() {
             return Ok(Arc::clone(level));
         }
-        let level = Arc::new(account::part(Part::Loading, || LoadedLevel::load(digest, artefacts))?);
+        let load = || account::part(Part::Loading, || LoadedLevel::load(digest, artefacts));
+        let level = Arc::new(on_all_threads(load)?);
         Ok(Arc::clone(slot.level.get_or_init(|| level)))
     }
 
