@@ -36,6 +36,11 @@ fn saved(report: &Value, rule: &str) -> u64 {
     count(report, "saved_by", rule)
 }
 
+/// BVHs of meshes that were read and that were built, of those that are large enough to be kept.
+fn bvhs(report: &Value) -> [u64; 2] {
+    ["read", "built"].map(|name| report["cache"]["bvhs"][name].as_u64().expect("a count of BVHs"))
+}
+
 fn traced(report: &Value) -> u64 {
     report["rays"]["traced"].as_u64().expect("a count of rays")
 }
@@ -72,6 +77,8 @@ fn an_edit_redoes_what_it_can_reach_and_the_result_is_that_of_a_bake_from_nothin
     let place = example("courtyard");
     let first = bake(&place, "first.glb", &SHORT);
     assert_eq!(saved(&first, "unchanged_work"), 0);
+    let [0, large] = bvhs(&first) else { panic!("{first}") };
+    assert!(large > 3);
 
     let mut level = place.read("level.glb");
     edit(&mut level, 0);
@@ -79,6 +86,7 @@ fn an_edit_redoes_what_it_can_reach_and_the_result_is_that_of_a_bake_from_nothin
     let edited = bake(&place, "edited.glb", &SHORT);
     let kept = saved(&edited, "unchanged_work");
     assert!(kept > 0 && traced(&edited) > 0 && edited["cache"]["by_stage"]["trace"]["hits"].as_u64() > Some(0));
+    assert_eq!(bvhs(&edited), [large - 1, 1], "the edited mesh alone is built again");
 
     let anew = bake(&place, "anew.glb", &[&SHORT[..], &["--data-dir", "other"]].concat());
     assert_eq!((traced(&anew), saved(&anew, "unchanged_work")), (traced(&edited) + kept, 0));
@@ -89,6 +97,24 @@ fn an_edit_redoes_what_it_can_reach_and_the_result_is_that_of_a_bake_from_nothin
     let again = bake(&place, "again.glb", &[&SHORT[..], &["--no-skip", "unchanged"]].concat());
     assert_eq!((&again["cache"]["hits"], traced(&again)), (&json!(0), traced(&anew)));
     assert_eq!(values(&place, "again.glb"), values(&place, "anew.glb"));
+}
+
+#[test]
+fn a_moved_node_builds_no_bvh_again() {
+    let place = example("courtyard");
+    let [0, large] = bvhs(&bake(&place, "first.glb", &SHORT)) else { panic!("there was nothing to read") };
+    let mut level = place.read("level.glb");
+    let (old, new) = (b"[5.0,0.0,-0.25]", b"[5.5,0.0,-0.25]");
+    let at = level.windows(old.len()).position(|bytes| bytes == old).expect("the second arch stands there");
+    level[at..at + new.len()].copy_from_slice(new);
+    std::fs::write(place.path("level.glb"), level).expect("the folder can be written");
+    let moved = bake(&place, "moved.glb", &SHORT);
+    assert!(traced(&moved) > 0);
+    assert_eq!(bvhs(&moved), [large, 0]);
+    // Trees that were read give what trees that were built give.
+    let anew = bake(&place, "anew.glb", &[&SHORT[..], &["--data-dir", "other"]].concat());
+    assert_eq!(bvhs(&anew), [0, large]);
+    assert_eq!(place.read("moved.glb"), place.read("anew.glb"));
 }
 
 #[test]

@@ -4,7 +4,7 @@ use crate::{
     BvhChild,
     build::build,
     node::{BvhLink, MAX_LEAF, WideNode},
-    triangle::{FLIPPED_BIT, TWO_SIDED_BIT, TriangleRuns},
+    triangle::{FLIPPED_BIT, TWO_SIDED_BIT, TriangleRuns, face_of},
 };
 use glam::{DVec3, Vec3, Vec3A};
 use kiln_core::{Bounds, Mesh};
@@ -80,14 +80,16 @@ impl MeshBvh {
     }
 }
 
-struct Occluder {
+/// A face that stops rays.
+pub(crate) struct Occluder {
     /// In rising order of their bits.
-    corners: [Vec3; 3],
+    pub(crate) corners: [Vec3; 3],
     /// Face index with [`TWO_SIDED_BIT`] and [`FLIPPED_BIT`].
-    primitive: u32,
+    pub(crate) primitive: u32,
 }
 
-fn occluders(mesh: &Mesh) -> Vec<Occluder> {
+/// The faces that stop rays, by index; of those that coincide the first.
+pub(crate) fn occluders(mesh: &Mesh) -> Vec<Occluder> {
     let occludes = |face: &u32| mesh.group(*face as usize).occludes;
     let hashes: Vec<u64> = (0..mesh.faces.len() as u32)
         .into_par_iter()
@@ -95,26 +97,18 @@ fn occluders(mesh: &Mesh) -> Vec<Occluder> {
         .map(|face| hash(&corner_key(mesh.corners(face as usize)).0))
         .collect();
     let repeated = repeated(hashes);
-    let occluder = |(face, two_sided): (u32, bool)| {
-        let (bits, is_even) = corner_key(mesh.corners(face as usize));
-        let bit = |is_set: bool, bit: u32| if is_set { bit } else { 0 };
-        Occluder {
-            corners: bits.map(|corner| Vec3::from_array(corner.map(f32::from_bits))),
-            primitive: face | bit(two_sided, TWO_SIDED_BIT) | bit(!is_even, FLIPPED_BIT),
-        }
-    };
-    let is_double_sided = |face: u32| mesh.group(face as usize).double_sided;
     // Faces of equal corners have equal hashes, so that only those few are compared corner by corner.
     let is_alone =
         |face: &u32| repeated.is_empty() || !repeated.contains(&hash(&corner_key(mesh.corners(*face as usize)).0));
     let all = (0..mesh.faces.len() as u32).into_par_iter().filter(occludes);
-    let mut alone: Vec<Occluder> =
-        all.clone().filter(is_alone).map(|face| occluder((face, is_double_sided(face)))).collect();
+    let single = |face: u32| Occluder::new(mesh, face, mesh.group(face as usize).double_sided);
+    let mut occluders: Vec<Occluder> = all.clone().filter(is_alone).map(single).collect();
     if !repeated.is_empty() {
         let merged = coincident(mesh, all.filter(|face| !is_alone(face)).collect());
-        alone.extend(merged.into_iter().map(occluder));
+        occluders.extend(merged.into_iter().map(|(face, two_sided)| Occluder::new(mesh, face, two_sided)));
+        occluders.par_sort_unstable_by_key(|occluder| face_of(occluder.primitive));
     }
-    alone
+    occluders
 }
 
 /// The hashes that occur more than once.
@@ -139,6 +133,18 @@ fn coincident(mesh: &Mesh, faces: Vec<u32>) -> Vec<(u32, bool)> {
         merged.push((first, is_facing_both || same.iter().any(is_double_sided)));
     }
     merged
+}
+
+impl Occluder {
+    /// A face as it stops rays; two-sided also because another one coincides with it.
+    pub(crate) fn new(mesh: &Mesh, face: u32, two_sided: bool) -> Self {
+        let (bits, is_even) = corner_key(mesh.corners(face as usize));
+        let bit = |is_set: bool, bit: u32| if is_set { bit } else { 0 };
+        Self {
+            corners: bits.map(|corner| Vec3::from_array(corner.map(f32::from_bits))),
+            primitive: face | bit(two_sided, TWO_SIDED_BIT) | bit(!is_even, FLIPPED_BIT),
+        }
+    }
 }
 
 /// Mixes the words of a key (the multiplier is that of Knuth's linear congruential generator, MMIX).

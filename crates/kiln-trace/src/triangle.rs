@@ -78,6 +78,11 @@ impl TriangleRuns {
         runs
     }
 
+    /// Number of triangles.
+    pub(crate) fn len(&self) -> usize {
+        self.count
+    }
+
     /// The first beginning of a leaf from a triangle on.
     fn begin_from(&self, triangle: usize) -> usize {
         let is_first = |i: &usize| self.begins[i / 64] >> (i % 64) & 1 == 1;

@@ -1,10 +1,12 @@
 //! Where a worker's bytes come from and go to.
 
+use crate::{LocalCache, recent::Recent};
 use bytes::Bytes;
 use kiln_core::Digest;
 use kiln_proto::client::{ClientError, Farm};
 use kiln_store::{Store, StoreError};
-use std::{collections::BTreeSet, sync::Arc};
+use rayon::prelude::*;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::runtime::Handle;
 
 /// An artefact could not be had or stored.
@@ -32,11 +34,19 @@ pub trait Artefacts: Send + Sync + 'static {
     /// Stores artefacts together; durable on return. Their digests are returned in order.
     fn store(&self, artefacts: Vec<Bytes>) -> Result<Vec<Digest>, ArtefactError>;
 
+    /// Where to keep on this machine what can be made again; none where there is no such place.
+    fn local_cache(&self) -> Option<LocalCache> {
+        None
+    }
+
     /// One artefact.
     fn get(&self, digest: Digest) -> Result<Bytes, ArtefactError> {
         self.get_many(&[digest])?.pop().ok_or(ArtefactError::Missing { digest })
     }
 }
+
+/// Artefacts that one thread reads, of many.
+const READ_TOGETHER: usize = 16;
 
 /// The coordinator's own store, for a worker in the same process.
 #[derive(Clone)]
@@ -46,19 +56,26 @@ impl Artefacts for LocalArtefacts {
     fn get_many(&self, digests: &[Digest]) -> Result<Vec<Bytes>, ArtefactError> {
         let one =
             |digest: &Digest| self.0.get(digest)?.map(Bytes::from).ok_or(ArtefactError::Missing { digest: *digest });
-        digests.iter().map(one).collect()
+        digests.par_iter().with_min_len(READ_TOGETHER).map(one).collect()
     }
 
     fn store(&self, artefacts: Vec<Bytes>) -> Result<Vec<Digest>, ArtefactError> {
         Ok(self.0.put(&artefacts)?)
     }
+
+    fn local_cache(&self) -> Option<LocalCache> {
+        // The coordinator collects what is too much of all.
+        Some(LocalCache::new(Arc::clone(&self.0), None))
+    }
 }
 
-/// The farm's artefacts over a connection of their own, with a store on this machine as cache.
+/// The farm's artefacts over a connection of their own, with a store on this machine as cache. Small ones are in memory
+/// for a while instead: most are a worker's own results, which its next tasks want and nobody later.
 pub struct RemoteArtefacts {
     farm: Farm,
     cache: Arc<Store>,
-    cache_bytes: u64,
+    local: LocalCache,
+    recent: Mutex<Recent>,
     runtime: Handle,
 }
 
@@ -66,16 +83,31 @@ impl RemoteArtefacts {
     /// `farm` should be a connection apart from the session's, so that bulk data can't delay heartbeats. The cache is
     /// kept to about `cache_bytes`.
     pub fn new(farm: Farm, cache: Arc<Store>, cache_bytes: u64, runtime: Handle) -> Self {
-        Self { farm, cache, cache_bytes, runtime }
+        let local = LocalCache::new(Arc::clone(&cache), Some(cache_bytes));
+        Self { farm, cache, local, recent: Mutex::default(), runtime }
     }
 
-    fn keep(&self, artefacts: &[Bytes]) -> Result<(), ArtefactError> {
-        self.cache.put(artefacts)?;
-        let usage = self.cache.usage()?;
-        if usage.pack_bytes + usage.index_bytes > self.cache_bytes {
-            self.cache.collect_garbage(&BTreeSet::new(), self.cache_bytes / 4 * 3)?;
+    fn recent(&self) -> MutexGuard<'_, Recent> {
+        self.recent.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn find(&self, digest: &Digest) -> Result<Option<Bytes>, ArtefactError> {
+        match self.recent().get(digest) {
+            Some(bytes) => Ok(Some(bytes)),
+            None => Ok(self.cache.get(digest)?.map(Bytes::from)),
         }
-        Ok(())
+    }
+
+    fn keep(&self, digests: &[Digest], artefacts: &[Bytes]) -> Result<(), ArtefactError> {
+        let mut recent = self.recent();
+        digests.iter().zip(artefacts).for_each(|(digest, artefact)| recent.add(*digest, artefact));
+        drop(recent);
+        let large: Vec<&Bytes> = artefacts.iter().filter(|artefact| artefact.len() > Recent::SMALL_BYTES).collect();
+        if large.is_empty() {
+            return Ok(());
+        }
+        self.cache.put(&large)?;
+        Ok(self.local.trim()?)
     }
 }
 
@@ -83,7 +115,7 @@ impl Artefacts for RemoteArtefacts {
     fn get_many(&self, digests: &[Digest]) -> Result<Vec<Bytes>, ArtefactError> {
         let mut found = Vec::with_capacity(digests.len());
         for digest in digests {
-            found.push(self.cache.get(digest)?.map(Bytes::from));
+            found.push(self.find(digest)?);
         }
         let absent: Vec<Digest> =
             digests.iter().zip(&found).filter(|(_, bytes)| bytes.is_none()).map(|(&digest, _)| digest).collect();
@@ -92,7 +124,7 @@ impl Artefacts for RemoteArtefacts {
                 ClientError::Missing { digest } => ArtefactError::Missing { digest },
                 other => ArtefactError::Farm(other),
             })?;
-            self.keep(&downloaded)?;
+            self.keep(&absent, &downloaded)?;
             let mut downloaded = downloaded.into_iter();
             found.iter_mut().filter(|bytes| bytes.is_none()).for_each(|bytes| *bytes = downloaded.next());
         }
@@ -100,6 +132,13 @@ impl Artefacts for RemoteArtefacts {
     }
 
     fn store(&self, artefacts: Vec<Bytes>) -> Result<Vec<Digest>, ArtefactError> {
-        self.runtime.block_on(self.farm.upload(&artefacts)).map_err(ArtefactError::Farm)
+        let digests = self.runtime.block_on(self.farm.upload(&artefacts)).map_err(ArtefactError::Farm)?;
+        let mut recent = self.recent();
+        digests.iter().zip(&artefacts).for_each(|(digest, artefact)| recent.add(*digest, artefact));
+        Ok(digests)
+    }
+
+    fn local_cache(&self) -> Option<LocalCache> {
+        Some(self.local.clone())
     }
 }

@@ -20,6 +20,8 @@ pub(crate) struct LocalFarm {
     pub(crate) farm: Farm,
     /// What traces, for people.
     pub(crate) backend: String,
+    /// What the worker runs tasks with.
+    pub(crate) executor: Arc<BakeExecutor>,
     stop: watch::Sender<bool>,
     worker: JoinHandle<Result<(), kiln_worker::WorkerError>>,
     coordinator: JoinHandle<Result<(), kiln_coordinator::ServeError>>,
@@ -47,15 +49,16 @@ impl LocalFarm {
             threads: common.thread_count(),
             memory_bytes: super::commands::worker::memory_bytes(),
         };
+        let executor = Arc::new(BakeExecutor::new(backend));
         let worker = tokio::spawn(kiln_worker::run(
             Farm::over(connector.channel(), bearer.clone()),
-            Arc::new(BakeExecutor::new(backend)),
+            Arc::<BakeExecutor>::clone(&executor),
             Arc::new(LocalArtefacts(store)),
             config,
             stopping(stopped),
         ));
         let farm = Farm::over(connector.channel(), bearer);
-        Ok(Self { farm, backend: describe, stop, worker, coordinator })
+        Ok(Self { farm, backend: describe, executor, stop, worker, coordinator })
     }
 
     /// Stops the worker, then the coordinator. What was acknowledged is durable.
@@ -63,6 +66,7 @@ impl LocalFarm {
         // Both are told at once: nobody needs what the worker still does.
         let _ = self.stop.send(true);
         self.worker.abort();
+        self.executor.finish();
         let served = self.coordinator.await.context("the coordinator's thread ended")?;
         Ok(served.context("the coordinator could not go on")?)
     }

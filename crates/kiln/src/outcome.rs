@@ -10,6 +10,7 @@ use crate::{
 use anyhow::Context;
 use kiln_core::{BakeSettings, Baked, Digest, codec};
 use kiln_proto::{client::Farm, v1};
+use kiln_worker::tasks::BvhCounts;
 use std::{collections::BTreeMap, fs, path::Path};
 
 /// A bake that succeeded.
@@ -39,7 +40,13 @@ impl Outcome {
     }
 
     /// The report as JSON.
-    pub(crate) fn report(&self, settings: &BakeSettings, seconds: f64, outputs: &[Output]) -> serde_json::Value {
+    pub(crate) fn report(
+        &self,
+        settings: &BakeSettings,
+        seconds: f64,
+        outputs: &[Output],
+        bvhs: Option<BvhCounts>,
+    ) -> serde_json::Value {
         let lane = self.bake.lane.clone().unwrap_or_default();
         let run = Run {
             settings,
@@ -47,6 +54,7 @@ impl Outcome {
             stages: &stages(&self.bake),
             seconds,
             cache: self.cache(),
+            bvhs,
             rays_traced: self.bake.stages.iter().map(|stage| stage.rays_traced).sum(),
             answered_from_store: self.bake.result.as_ref().is_some_and(|r| r.answered_from_store),
             outputs,
@@ -61,13 +69,31 @@ impl Outcome {
         self.bake.stages.iter().filter_map(|s| Some((name(s).ok()?, count(s)))).collect()
     }
 
-    /// Prints the result for a person, or the report for a machine.
+    /// Writes the report where it is wanted, and prints it, or the result for a person. A report of many instances takes a
+    /// while to make: it is not made for nothing.
     #[expect(clippy::print_stdout, reason = "this is the command's output")]
-    pub(crate) fn print(&self, report: &serde_json::Value, outputs: &[Output], seconds: f64, common: &Common) {
-        if common.json {
-            println!("{report}");
-            return;
+    pub(crate) fn tell(
+        &self,
+        report: impl FnOnce(&Self) -> serde_json::Value,
+        path: Option<&Path>,
+        outputs: &[Output],
+        seconds: f64,
+        common: &Common,
+    ) -> Result<(), Failure> {
+        let report = (path.is_some() || common.json).then(|| report(self));
+        if let Some((report, path)) = report.as_ref().zip(path) {
+            write_whole(path, serde_json::to_string_pretty(report).map_err(anyhow::Error::from)?.as_bytes())?;
         }
+        match report.filter(|_| common.json) {
+            Some(report) => println!("{report}"),
+            None => self.print(outputs, seconds),
+        }
+        Ok(())
+    }
+
+    /// Prints the result for a person.
+    #[expect(clippy::print_stdout, reason = "this is the command's output")]
+    fn print(&self, outputs: &[Output], seconds: f64) {
         let summary = &self.baked.summary;
         for line in warning_lines(&summary.warnings) {
             println!("{line}");

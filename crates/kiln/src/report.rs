@@ -6,6 +6,7 @@ mod skips;
 pub(crate) use coarse::coarse_total;
 
 use kiln_core::{BakeSettings, BakeSummary, ComponentMethod, Digest, ErrorEstimate, MeshSummary, Warning};
+use kiln_worker::tasks::BvhCounts;
 use serde::Serialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -55,6 +56,8 @@ pub(crate) struct Run<'a> {
     pub(crate) stages: &'a [Stage],
     pub(crate) seconds: f64,
     pub(crate) cache: BTreeMap<String, CacheCounts>,
+    /// Where this process had its BVHs from; nothing where other processes traced.
+    pub(crate) bvhs: Option<BvhCounts>,
     /// Rays that this bake traced; the others of its result were known.
     pub(crate) rays_traced: u64,
     /// The whole answer was known from an earlier bake.
@@ -93,6 +96,7 @@ pub(crate) fn report(summary: &BakeSummary, run: &Run<'_>) -> Value {
         "meshes": meshes(summary),
         "cache": {
             "hits": hits, "misses": misses, "by_stage": run.cache, "answered_from_store": run.answered_from_store,
+            "bvhs": run.bvhs.map(|b| json!({ "read": b.read, "built": b.built, "not_kept": b.not_kept })),
         },
         "warnings": summary.warnings,
         "outputs": run.outputs.iter().map(|o| json!({ "path": o.path, "digest": o.digest.to_string(), "bytes": o.bytes })).collect::<Vec<_>>(),

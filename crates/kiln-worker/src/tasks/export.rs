@@ -5,6 +5,7 @@ use super::{
     import::{LoadedFiles, manifest},
 };
 use crate::{Artefacts, TaskError, TaskOutput};
+use bytes::Bytes;
 use glam::DVec3;
 use kiln_core::{
     BakeSummary, Baked, BeyondReach, CoarseFaces, Digest, ErrorEstimate, ExportSpec, Instance, MeshSummary, Solution,
@@ -12,6 +13,7 @@ use kiln_core::{
 };
 use kiln_scene::{BakedInstance, ExportRequest};
 use kiln_solve::{LevelInstance, fill_unsampled};
+use rayon::prelude::*;
 
 pub(super) fn run(spec: &ExportSpec, level: &LoadedLevel, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
     let (manifest, level_name) = manifest(spec.source, artefacts)?;
@@ -48,11 +50,9 @@ pub(super) fn run(spec: &ExportSpec, level: &LoadedLevel, artefacts: &dyn Artefa
 fn load_solutions(list: Digest, artefacts: &dyn Artefacts) -> Result<(Vec<u32>, Vec<Solution>), TaskError> {
     let list: Vec<(u32, Digest)> = codec::decode("a list of solutions", &artefacts.get(list)?)?;
     let (indices, digests): (Vec<u32>, Vec<Digest>) = list.into_iter().unzip();
-    let mut solutions = Vec::with_capacity(digests.len());
-    for bytes in artefacts.get_many(&digests)? {
-        solutions.push(codec::decode("a solution", &bytes)?);
-    }
-    Ok((indices, solutions))
+    let decode = |bytes: &Bytes| Ok(codec::decode("a solution", bytes)?);
+    let solutions: Result<_, TaskError> = artefacts.get_many(&digests)?.par_iter().map(decode).collect();
+    Ok((indices, solutions?))
 }
 
 /// Gives instances without a valid sample the values of the nearest surface that has some.

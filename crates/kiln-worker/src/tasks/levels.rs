@@ -1,9 +1,13 @@
 //! Loaded levels: meshes, BVHs and tracers, shared by the tasks of a level. What no receiver's rays can come to is not
 //! loaded.
 
-use super::{Backend, out_of_range};
+use super::{
+    Backend,
+    bvhs::{BvhKeeper, NamedMesh},
+    out_of_range,
+};
 use crate::{
-    Artefacts, TaskError,
+    Artefacts, LocalCache, TaskError,
     account::{self, Part},
     threads::on_all_threads,
 };
@@ -91,32 +95,38 @@ impl LoadedLevel {
 
     /// The scene and a tracer over it, built once: one BVH for each distinct mesh.
     pub fn tracer(&self, backend: &Backend) -> Result<&SceneTracer, TaskError> {
+        self.tracer_by(backend, &BvhKeeper::default(), None)
+    }
+
+    /// Likewise, with BVHs from a cache where it has them.
+    pub(super) fn tracer_by(
+        &self,
+        backend: &Backend,
+        bvhs: &BvhKeeper,
+        cache: Option<&LocalCache>,
+    ) -> Result<&SceneTracer, TaskError> {
         let build = || {
-            let scene = Arc::new(self.build_scene());
+            let scene = Arc::new(self.build_scene(bvhs, cache));
             let tracer = backend.tracer(&scene).map_err(|error| error.to_string())?;
             Ok((scene, tracer))
         };
         let build = || on_all_threads(|| account::part(Part::Building, build));
-        account::waiting(|| self.tracer.get_or_init(build))
-            .as_ref()
-            .map_err(|reason| TaskError::Failed { reason: reason.clone() })
+        let tracer = account::waiting(|| self.tracer.get_or_init(build));
+        tracer.as_ref().map_err(|reason| TaskError::Failed { reason: reason.clone() })
     }
 
-    fn build_scene(&self) -> Scene {
+    fn build_scene(&self, bvhs: &BvhKeeper, cache: Option<&LocalCache>) -> Scene {
         // Entries of the same digest share one mesh, and so one BVH.
         let mut first_of: HashMap<*const Mesh, usize> = HashMap::new();
-        let mut distinct: Vec<&Arc<Mesh>> = Vec::new();
-        let index_of: Vec<usize> = self
-            .meshes
-            .iter()
-            .map(|mesh| {
-                *first_of.entry(Arc::as_ptr(mesh)).or_insert_with(|| {
-                    distinct.push(mesh);
-                    distinct.len() - 1
-                })
-            })
-            .collect();
-        let mut bvhs: Vec<Arc<MeshBvh>> = distinct.par_iter().map(|mesh| Arc::new(MeshBvh::build(mesh))).collect();
+        let mut distinct: Vec<NamedMesh<'_>> = Vec::new();
+        let mut index_of = Vec::with_capacity(self.meshes.len());
+        for (mesh, entry) in self.meshes.iter().zip(&self.level.meshes) {
+            index_of.push(*first_of.entry(Arc::as_ptr(mesh)).or_insert_with(|| {
+                distinct.push((entry.digest, mesh));
+                distinct.len() - 1
+            }));
+        }
+        let mut bvhs: Vec<Arc<MeshBvh>> = bvhs.all(&distinct, cache);
         // Instances that are not traced keep their index, by which ties are decided.
         let nothing = bvhs.len();
         bvhs.push(Arc::new(MeshBvh::build(&Mesh::default())));
@@ -270,7 +280,8 @@ mod tests {
                 density_per_m2: 10.0,
                 ray_count: 0,
             };
-            let [part, whole] = [&part, &whole].map(|level| trace::run(&task, level, &Backend::Cpu).unwrap());
+            let [part, whole] =
+                [&part, &whole].map(|level| trace::run(&task, level, level.tracer(&Backend::Cpu).unwrap()).unwrap());
             assert_eq!(part.result, whole.result);
             traced += part.rays;
         }

@@ -1,6 +1,7 @@
 //! The tasks themselves: each turns artefacts into artefacts, by the crates that own the work.
 
 mod backend;
+mod bvhs;
 mod counted;
 mod export;
 mod import;
@@ -10,9 +11,11 @@ mod solve;
 mod trace;
 
 pub use backend::Backend;
+pub use bvhs::BvhCounts;
 pub use levels::{LoadedLevel, SceneTracer, ground_plane};
 
 use crate::{Artefacts, CancelFlag, Executor, Lanes, TaskError, TaskOutput};
+use bvhs::BvhKeeper;
 use kiln_core::{TaskSpec, codec::DecodeError};
 use levels::LevelCache;
 
@@ -20,12 +23,23 @@ use levels::LevelCache;
 pub struct BakeExecutor {
     levels: LevelCache,
     backend: Backend,
+    bvhs: BvhKeeper,
 }
 
 impl BakeExecutor {
     /// An executor that traces on the given backend.
     pub fn new(backend: Backend) -> Self {
-        Self { levels: LevelCache::default(), backend }
+        Self { levels: LevelCache::default(), backend, bvhs: BvhKeeper::default() }
+    }
+
+    /// Where the BVHs of meshes came from so far.
+    pub fn bvh_counts(&self) -> BvhCounts {
+        self.bvhs.counts()
+    }
+
+    /// Waits for what is being written to the local cache. Blocks; to be called before the process ends.
+    pub fn finish(&self) {
+        self.bvhs.finish();
     }
 }
 
@@ -48,7 +62,9 @@ impl Executor for BakeExecutor {
             TaskSpec::Import { source } => import::run(*source, artefacts),
             TaskSpec::Plan(spec) => plan::run(spec, &*self.levels.get(spec.level, artefacts)?),
             TaskSpec::Trace { level, task } => {
-                let output = trace::run(task, &*self.levels.get(*level, artefacts)?, &self.backend)?;
+                let level = self.levels.get(*level, artefacts)?;
+                let tracer = level.tracer_by(&self.backend, &self.bvhs, artefacts.local_cache().as_ref())?;
+                let output = trace::run(task, &level, tracer)?;
                 progress(output.rays);
                 Ok(output)
             }

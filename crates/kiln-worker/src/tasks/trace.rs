@@ -1,18 +1,21 @@
 //! Trace: a piece of an instance to per-face moments.
 
-use super::{Backend, LoadedLevel, counted::Counted, out_of_range};
+use super::{LoadedLevel, SceneTracer, counted::Counted, out_of_range};
 use crate::{TaskError, TaskOutput};
 use kiln_bake::{Piece, trace_piece};
 use kiln_core::{Bounds, TraceTask};
 
-pub(super) fn run(task: &TraceTask, level: &LoadedLevel, backend: &Backend) -> Result<TaskOutput, TaskError> {
+pub(super) fn run(
+    task: &TraceTask,
+    level: &LoadedLevel,
+    (scene, tracer): &SceneTracer,
+) -> Result<TaskOutput, TaskError> {
     let (instance, mesh) = level.instance(task.instance)?;
     let first = task.first_face as usize;
     let faces = first..first.saturating_add(task.face_count as usize);
     if faces.end > mesh.faces.len() {
         return Err(out_of_range("face", task.first_face.saturating_add(task.face_count)));
     }
-    let (scene, tracer) = level.tracer(backend)?;
     let reach = level.reach();
     let piece = Piece {
         mesh,

@@ -44,7 +44,7 @@ async fn bake(args: &BakeArgs, common: &Common, started: Instant) -> Result<(), 
         _ = tokio::signal::ctrl_c() => Err(interrupted()),
     };
     let finished = match outcome {
-        Ok(outcome) => finish(args, common, &local.farm, &outcome, &settings, started).await,
+        Ok(outcome) => finish(args, common, &local, outcome, &settings, started).await,
         Err(failure) => Err(failure),
     };
     local.stop().await?;
@@ -98,12 +98,12 @@ async fn cancel_left_over(farm: &Farm) -> Result<(), Failure> {
 async fn finish(
     args: &BakeArgs,
     common: &Common,
-    farm: &Farm,
-    outcome: &Outcome,
+    local: &LocalFarm,
+    outcome: Outcome,
     settings: &BakeSettings,
     started: Instant,
 ) -> Result<(Outcome, f64), Failure> {
-    let mut outputs = vec![outcome.save(farm, &args.output).await?];
+    let mut outputs = vec![outcome.save(&local.farm, &args.output).await?];
     if let Some(path) = &args.preview {
         super::view::preview(&args.output, path)?;
         let bytes = std::fs::read(path).map_err(anyhow::Error::from)?;
@@ -114,12 +114,9 @@ async fn finish(
         });
     }
     let seconds = started.elapsed().as_secs_f64();
-    let report = outcome.report(settings, seconds, &outputs);
-    if let Some(path) = &args.report {
-        write_whole(path, serde_json::to_string_pretty(&report).map_err(anyhow::Error::from)?.as_bytes())?;
-    }
-    outcome.print(&report, &outputs, seconds, common);
-    Ok((outcome.clone(), seconds))
+    let report = |outcome: &Outcome| outcome.report(settings, seconds, &outputs, Some(local.executor.bvh_counts()));
+    outcome.tell(report, args.report.as_deref(), &outputs, seconds, common)?;
+    Ok((outcome, seconds))
 }
 
 fn check_gates(args: &BakeArgs, gates: &Gates, outcome: &Outcome, seconds: f64) -> Result<(), Failure> {

@@ -3,7 +3,7 @@
 use crate::{
     args::{Common, FetchArgs},
     failure::Failure,
-    outcome::{Outcome, write_whole},
+    outcome::Outcome,
     progress::client_failure,
 };
 use kiln_core::BakeSettings;
@@ -42,10 +42,6 @@ pub(crate) async fn finish(
         outputs.push(outcome.save(farm, path).await?);
     }
     let seconds = started.elapsed().as_secs_f64();
-    let report = outcome.report(settings, seconds, &outputs);
-    if let Some(path) = report_path {
-        write_whole(path, serde_json::to_string_pretty(&report).map_err(anyhow::Error::from)?.as_bytes())?;
-    }
-    outcome.print(&report, &outputs, seconds, common);
-    Ok(())
+    let report = |outcome: &Outcome| outcome.report(settings, seconds, &outputs, None);
+    outcome.tell(report, report_path, &outputs, seconds, common)
 }

@@ -40,9 +40,10 @@ async fn work(args: &WorkerArgs, common: &Common) -> Result<(), Failure> {
     };
     eprintln!("kiln: worker {name} traces on {describe} with {} threads for {address}", config.threads);
     let executor = Arc::new(BakeExecutor::new(backend));
-    kiln_worker::run(session, executor, Arc::new(artefacts), config, super::stop_signal())
-        .await
-        .map_err(|error| Failure::new(crate::failure::UNREACHABLE, error))
+    let tasks = Arc::<BakeExecutor>::clone(&executor);
+    let ran = kiln_worker::run(session, tasks, Arc::new(artefacts), config, super::stop_signal()).await;
+    executor.finish();
+    ran.map_err(|error| Failure::new(crate::failure::UNREACHABLE, error))
 }
 
 /// The bearer of the token in the file or in KILN_TOKEN, if there is one.

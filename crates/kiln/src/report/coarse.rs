@@ -23,13 +23,20 @@ fn entry(faces: &CoarseFaces, visible_area_m2: f64, worst: &[Value]) -> Value {
 
 /// Faces of an instance that are too coarse.
 pub(super) fn of_instance(mesh: &MeshSummary) -> Value {
-    entry(&mesh.solve.too_coarse, mesh.solve.visible_area_m2, &worst_faces(mesh).collect::<Vec<_>>())
+    entry(&mesh.solve.too_coarse, mesh.solve.visible_area_m2, &worst_faces(mesh).map(worst_entry).collect::<Vec<_>>())
 }
 
+/// A face that is too coarse: its deviation, its centre, and the instance that has it.
+type Worst<'a> = (f64, &'a [f64; 3], &'a MeshSummary);
+
 /// The worst faces of an instance, the worst first.
-fn worst_faces(mesh: &MeshSummary) -> impl Iterator<Item = Value> {
+fn worst_faces(mesh: &MeshSummary) -> impl Iterator<Item = Worst<'_>> {
     let faces = mesh.solve.too_coarse.worst.iter().zip(&mesh.coarse_centers_m);
-    faces.map(|(face, center)| json!({ "node": mesh.node, "center_m": center, "deviation": face.deviation }))
+    faces.map(move |(face, center)| (face.deviation, center, mesh))
+}
+
+fn worst_entry((deviation, center, mesh): Worst<'_>) -> Value {
+    json!({ "node": mesh.node, "center_m": center, "deviation": deviation })
 }
 
 /// Faces of all instances that are too coarse, with the worst of the level.
@@ -37,10 +44,10 @@ pub(super) fn of_level(summary: &BakeSummary) -> Value {
     /// Faces listed for a level.
     const LISTED: usize = 16;
     let (total, _) = coarse_total(summary);
-    let deviation = |face: &Value| face["deviation"].as_f64().unwrap_or(0.0);
-    let mut worst: Vec<Value> = summary.meshes.iter().flat_map(worst_faces).collect();
-    worst.sort_by(|a, b| deviation(b).total_cmp(&deviation(a)));
+    let mut worst: Vec<Worst<'_>> = summary.meshes.iter().flat_map(worst_faces).collect();
+    worst.sort_by(|a, b| b.0.total_cmp(&a.0));
     worst.truncate(LISTED);
+    let worst: Vec<Value> = worst.into_iter().map(worst_entry).collect();
     let area_m2 = summary.meshes.iter().map(|mesh| mesh.solve.visible_area_m2).sum();
     let mut level = entry(&total, area_m2, &worst);
     level["least_deviation"] = json!(CoarseFaces::LEAST_DEVIATION);
