@@ -69,8 +69,8 @@ impl Artefacts for LocalArtefacts {
     }
 }
 
-/// The farm's artefacts over a connection of their own, with a store on this machine as cache. Small ones are in memory
-/// for a while instead: most are a worker's own results, which its next tasks want and nobody later.
+/// The farm's artefacts over a connection of their own, with a store on this machine as cache. Small ones, a worker's own
+/// results too, are in memory for a while as well: its next tasks want them.
 pub struct RemoteArtefacts {
     farm: Farm,
     cache: Arc<Store>,
@@ -102,11 +102,7 @@ impl RemoteArtefacts {
         let mut recent = self.recent();
         digests.iter().zip(artefacts).for_each(|(digest, artefact)| recent.add(*digest, artefact));
         drop(recent);
-        let large: Vec<&Bytes> = artefacts.iter().filter(|artefact| artefact.len() > Recent::SMALL_BYTES).collect();
-        if large.is_empty() {
-            return Ok(());
-        }
-        self.cache.put(&large)?;
+        self.cache.put(artefacts)?;
         Ok(self.local.trim()?)
     }
 }

@@ -13,8 +13,7 @@ use std::{
     thread::{self, JoinHandle},
 };
 
-/// Trees of fewer faces are not kept. On one thread of the development machine building takes 1.1 µs a face and more, reading
-/// and checking 0.04 to 0.4 µs, and finding and opening the file some tens of µs, whatever the size.
+/// Trees of fewer faces are not kept: what one of them takes to build is no more than finding it in the store.
 const LEAST_FACES: usize = 256;
 
 /// Bytes of trees that are written as one file.
