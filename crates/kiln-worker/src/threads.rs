@@ -220,6 +220,8 @@ mod tests {
                 begun.recv_timeout(PATIENCE).unwrap();
             }
         }
+        // As many as may be are at work before the first of them ends.
+        (1..count.min(sizes.len())).for_each(|_| begun.recv_timeout(PATIENCE).unwrap());
         *gate.0.lock().unwrap() = true;
         gate.1.notify_all();
         let mut pools = vec![0; sizes.len()];
