@@ -59,13 +59,13 @@ impl MeshLeaves<'_> {
     #[inline(always)]
     pub(crate) fn test<V: Compiled>(&self, first: u32, count: u32, ray: &TracedRay, best: &mut Hit) -> bool {
         let triangles = &self.mesh.triangles;
-        let (mut lanes, entries) = triangles.crossed::<V>(first, count, ray, best.t);
+        let (mut lanes, margins) = triangles.crossed::<V>(first, count, ray);
         let mut is_better = false;
         while lanes != 0 {
             let lane = lanes.trailing_zeros();
             lanes &= lanes - 1;
             let corners = triangles.corners(first, count, lane);
-            let Some((t, is_counter_clockwise)) = meet(corners, ray, entries[lane as usize & 7], best.t) else {
+            let Some((t, is_counter_clockwise)) = meet(corners, ray, margins[lane as usize & 7], best.t) else {
                 continue;
             };
             let primitive = triangles.id(first, count, lane);

@@ -69,12 +69,6 @@ impl Lanes for Avx2 {
     comparison!(le _CMP_LE_OQ);
 
     #[inline(always)]
-    fn or(a: __m256, b: __m256) -> __m256 {
-        // SAFETY: a mask comes from an Avx2.
-        unsafe { _mm256_or_ps(a, b) }
-    }
-
-    #[inline(always)]
     fn bits(mask: __m256) -> u32 {
         // SAFETY: a mask comes from an Avx2.
         unsafe { _mm256_movemask_ps(mask) }.cast_unsigned()

@@ -6,15 +6,17 @@
 //! arithmetic in the same order is in `triangle.wgsl` of `kiln-gpu`: keep them in sync.
 //!
 //! Deviation: distances do not come from the edge functions, whose errors grow with the triangle, not with the distance,
-//! but from the triangle's plane in f64. And a hit counts only if the ray enters the triangle's own box, and no nearer than
-//! it does, by the arithmetic that all boxes are tested with. Roundings are monotonic, so a box around others is entered
-//! where one of them is, and no later: whatever the tree, what it finds is what testing every triangle finds, to the bit.
-//! Last, distances are rounded to 18 bits (an error of at most 4e-6 of them), for ties.
+//! but from the triangle's plane in f64, rounded to 18 bits (an error of at most 4e-6 of them) so that coincident faces tie. Where
+//! rounding may have decided that the ray goes through the triangle, it must also enter the triangle's own box, and the
+//! distance is no nearer than that, by the arithmetic that all boxes are tested with. Roundings are monotonic, so a box around
+//! others is entered where one of them is, and no later. Elsewhere the ray goes through the triangle for certain, and so enters
+//! all boxes around it, no later but for rounding, which `HIT_SLACK` covers. So whatever the tree, what it finds is what
+//! testing every triangle finds, to the bit.
 
 use crate::{
     lanes::Lanes,
     node::MAX_LEAF,
-    ray::{HIT_SLACK, TracedRay, WIDEN},
+    ray::{TracedRay, WIDEN},
 };
 use glam::Vec3;
 use rayon::prelude::*;
@@ -121,9 +123,16 @@ impl TriangleRuns {
     }
 
     /// Corners of a lane of a leaf.
+    #[inline(always)]
     pub(crate) fn corners(&self, first: u32, count: u32, lane: u32) -> [Vec3; 3] {
-        let word = |row: u32| self.words[WORDS * first as usize + (row * count + lane) as usize];
-        [0, 3, 6].map(|row| Vec3::new(word(row), word(row + 1), word(row + 2)))
+        let mut at = WORDS * first as usize + lane as usize;
+        let mut word = || {
+            let word = self.words[at];
+            at += count as usize;
+            word
+        };
+        let mut corner = || Vec3::new(word(), word(), word());
+        [corner(), corner(), corner()]
     }
 
     /// Asks for the first lines of a leaf.
@@ -150,10 +159,10 @@ impl TriangleRuns {
         self.words[at..].first_chunk().expect("eight words follow every row")
     }
 
-    /// Lanes of a leaf whose triangles the line of a ray goes through, and whose boxes the ray enters up to `t_max`; and
-    /// where it does.
+    /// Lanes of a leaf whose triangles the line of a ray goes through; and how far inside of their edges, as the least of the
+    /// edge functions.
     #[inline(always)]
-    pub(crate) fn crossed<V: Lanes>(&self, first: u32, count: u32, ray: &TracedRay, t_max: f32) -> (u32, [f32; 8]) {
+    pub(crate) fn crossed<V: Lanes>(&self, first: u32, count: u32, ray: &TracedRay) -> (u32, [f32; 8]) {
         let n = count as usize;
         debug_assert!(n <= MAX_LEAF);
         let rows = WORDS * first as usize;
@@ -166,23 +175,11 @@ impl TriangleRuns {
         let zero = V::splat(0.0);
         let least = u.min(v).min(w);
         let greatest = u.max(v).max(w);
-        let crossed = V::bits(V::or(zero.le(least), greatest.le(zero))) & ((1 << n) - 1);
-        let mut entries = [0.0; 8];
-        if crossed == 0 {
-            return (0, entries);
-        }
-        let (mut near, mut far) = (zero, V::splat(t_max * HIT_SLACK));
-        for axis in 0..3 {
-            let corner = |row: usize| V::load(self.row(rows + (row + axis) * n));
-            let (a, b, c) = (corner(0), corner(3), corner(6));
-            let (origin, inverse) = (V::splat(ray.origin[axis]), V::splat(ray.inverse[axis]));
-            let [low, high] = [a.min(b).min(c), a.max(b).max(c)].map(|plane| plane.sub(origin).mul(inverse));
-            // The nearer of both is the one that the direction's sign tells, since roundings are monotonic.
-            near = low.min(high).max(near);
-            far = low.max(high).mul(V::splat(WIDEN)).min(far);
-        }
-        near.store(&mut entries);
-        (crossed & V::bits(near.le(far)), entries)
+        // Not negative where all functions have one sign.
+        let margin = least.max(zero.sub(greatest));
+        let mut margins = [0.0; 8];
+        margin.store(&mut margins);
+        (V::bits(zero.le(margin)) & ((1 << n) - 1), margins)
     }
 
     /// Coordinates of corners across the ray.
@@ -196,18 +193,40 @@ impl TriangleRuns {
     }
 }
 
-/// Where a ray meets the plane of a triangle whose box it enters at `entry`, but no nearer: distance, and whether the
-/// corners are seen counter-clockwise. Nothing behind the ray, beyond `t_max`, or in the plane.
+/// Where a ray meets the plane of a triangle that its line goes through, by a margin: distance, and whether the corners are
+/// seen counter-clockwise. Nothing behind the ray, beyond `t_max`, or in the plane.
 #[inline(always)]
-pub(crate) fn meet([a, b, c]: [Vec3; 3], ray: &TracedRay, entry: f32, t_max: f32) -> Option<(f32, bool)> {
-    let (a, b, c) = (a.as_dvec3(), b.as_dvec3(), c.as_dvec3());
-    let normal = (b - a).cross(c - a);
+pub(crate) fn meet(corners: [Vec3; 3], ray: &TracedRay, margin: f32, t_max: f32) -> Option<(f32, bool)> {
+    let [a, b, c] = corners.map(|corner| corner.as_dvec3());
+    let (ab, ac, from_origin) = (b - a, c - a, a - Vec3::from_array(ray.origin).as_dvec3());
+    let normal = ab.cross(ac);
     let slope = normal.dot(Vec3::from_array(ray.direction).as_dvec3());
-    let height = normal.dot(a - Vec3::from_array(ray.origin).as_dvec3());
     // Where the slope is 0 this is no number, or infinite.
-    let plane = (height / slope) as f32;
-    let t = coarse(if plane > entry { plane } else { entry });
-    (plane > 0.0 && t <= t_max && t < f32::INFINITY).then_some((t, slope < 0.0))
+    let mut t = (normal.dot(from_origin) / slope) as f32;
+    if !(t > 0.0 && t < f32::INFINITY) {
+        return None;
+    }
+    // More than any coordinate of a corner relative to the origin.
+    let extent = (from_origin.abs() + ab.abs() + ac.abs()).element_sum();
+    if f64::from(margin) <= EDGE_ERROR * extent * extent {
+        t = t.max(entry(corners, ray)?);
+    }
+    let t = coarse(t);
+    (t <= t_max).then_some((t, slope < 0.0))
+}
+
+/// Bound on the error of an edge function, for corners whose coordinates relative to the ray's origin are at most 1. In units of
+/// 2⁻²⁴: each of its four factors, at most 2, has an error of 6, products and difference add 16.
+const EDGE_ERROR: f64 = 64.0 / 16_777_216.0;
+
+/// Where a ray enters the box of a triangle, by the arithmetic of all boxes; nothing if it does not.
+#[inline(never)]
+fn entry([a, b, c]: [Vec3; 3], ray: &TracedRay) -> Option<f32> {
+    let (origin, inverse) = (Vec3::from_array(ray.origin), Vec3::from_array(ray.inverse));
+    let [low, high] = [a.min(b).min(c), a.max(b).max(c)].map(|plane| (plane - origin) * inverse);
+    // The nearer of both is the one that the direction's sign tells, since roundings are monotonic.
+    let near = low.min(high).max_element().max(0.0);
+    (near <= low.max(high).min_element() * WIDEN).then_some(near)
 }
 
 /// A distance to 18 bits, so that faces of different instances that coincide tie although their rays were rounded on the
@@ -234,8 +253,8 @@ mod tests {
         let all = [flat, flat, flat, (corners, 5), flat, (corners, 6)];
         let runs = TriangleRuns::new(6, [(0, 2), (2, 3), (5, 1)].into_iter(), |i| all[i as usize]);
         let ray = TracedRay::new(origin, direction);
-        let (lanes, entries) = runs.crossed::<Portable>(2, 3, &ray, f32::INFINITY);
-        let meet = |lane: u32| meet(runs.corners(2, 3, lane), &ray, entries[lane as usize], f32::INFINITY);
+        let (lanes, margins) = runs.crossed::<Portable>(2, 3, &ray);
+        let meet = |lane: u32| meet(runs.corners(2, 3, lane), &ray, margins[lane as usize], f32::INFINITY);
         assert!([0, 2].into_iter().all(|lane| lanes >> lane & 1 == 0 || meet(lane).is_none()), "a flat lane was hit");
         if lanes >> 1 & 1 == 1 { meet(1) } else { None }
     }
