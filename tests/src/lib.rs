@@ -96,7 +96,16 @@ impl Workplace {
     /// # Panics
     /// If it cannot be started.
     pub fn start(&self, arguments: &[&str]) -> Background {
-        let child = self.command(arguments).stdout(Stdio::null()).stderr(Stdio::inherit()).spawn();
+        self.start_with(arguments, &[])
+    }
+
+    /// As [`Workplace::start`], with environment variables.
+    ///
+    /// # Panics
+    /// If it cannot be started.
+    pub fn start_with(&self, arguments: &[&str], variables: &[(&str, &str)]) -> Background {
+        let mut command = self.command(arguments);
+        let child = command.envs(variables.iter().copied()).stdout(Stdio::null()).stderr(Stdio::inherit()).spawn();
         Background(child.expect("kiln starts"))
     }
 

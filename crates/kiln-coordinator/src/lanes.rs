@@ -1,6 +1,6 @@
 //! The lane of a bake: decided once, when a worker is there that can trace it.
 
-use kiln_core::Lane;
+use kiln_core::{Lane, MIXED_LANE};
 use kiln_proto::v1::Backend;
 
 /// What a worker offers.
@@ -28,10 +28,13 @@ pub(crate) fn choose(backend: Backend, offers: &[Offer<'_>]) -> Option<Lane> {
     let trace = match backend {
         Backend::Cpu => most(lanes(|lane| lane == "cpu")),
         Backend::Gpu => most(lanes(is_gpu)),
+        // Any will do, but there must be one.
+        Backend::Mixed => most(preferred),
         Backend::Auto | Backend::Unspecified => {
             most(preferred.clone().filter(|lane| is_gpu(lane))).or_else(|| most(preferred))
         }
     };
+    let trace = if backend == Backend::Mixed { trace.and(Some(MIXED_LANE)) } else { trace };
     let solve = most(offers.iter().filter_map(|offer| offer.solve));
     Some(Lane { trace: trace?.to_owned(), solve: solve?.to_owned() })
 }
@@ -47,7 +50,7 @@ pub(crate) fn why_none(backend: Backend, offers: &[Offer<'_>]) -> String {
     let wanted = match backend {
         Backend::Cpu => "traces on the CPU",
         Backend::Gpu => "has a GPU",
-        Backend::Auto | Backend::Unspecified => "has the role `trace`",
+        Backend::Auto | Backend::Mixed | Backend::Unspecified => "has the role `trace`",
     };
     format!("none of the {} connected workers {wanted}", offers.len())
 }
@@ -98,5 +101,14 @@ mod tests {
         assert_eq!(lane(Backend::Gpu, &[(&["cpu"], "a")]), None);
         let tie = lane(Backend::Cpu, &[(&["cpu"], "b"), (&["cpu"], "a")]);
         assert_eq!(tie, Some(("cpu".into(), "b".into())));
+    }
+
+    #[test]
+    fn mixed_is_a_lane_of_its_own_once_somebody_traces() {
+        let mixed = Some((MIXED_LANE.to_owned(), "a".to_owned()));
+        assert_eq!(lane(Backend::Mixed, &[(&["cpu"], "a")]), mixed);
+        assert_eq!(lane(Backend::Mixed, &[(&["gpu:x:1"], ""), (&[], "a")]), mixed);
+        assert_eq!(lane(Backend::Mixed, &[(&[], "a")]), None);
+        assert!(why_none(Backend::Mixed, &[Offer { trace: &[], solve: Some("a") }]).contains("`trace`"));
     }
 }

@@ -25,6 +25,6 @@ pub use settings::{
 pub use skip::{REACH_EPSILON, SkipRule};
 pub use solution::{CoarseFace, CoarseFaces, ComponentMethod, ErrorEstimate, ErrorHistogram, Solution, SolveSummary};
 pub use task::{
-    BakeSummary, Baked, BeyondReach, ExportSpec, JobId, Lane, MeshSummary, PlanSpec, SolveTask, SourceFile,
+    BakeSummary, Baked, BeyondReach, ExportSpec, JobId, Lane, MIXED_LANE, MeshSummary, PlanSpec, SolveTask, SourceFile,
     SourceManifest, TaskGraph, TaskKey, TaskKind, TaskSpec, TraceTask,
 };

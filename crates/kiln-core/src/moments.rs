@@ -8,11 +8,12 @@
 use crate::MAX_CHANNELS;
 use bytemuck::{cast_slice, pod_collect_to_vec};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
-const MAGIC: [u8; 8] = *b"kilnMOM3";
+const MAGIC: [u8; 8] = *b"kilnMOM4";
 
-/// Channels, faces and totals, 8 bytes each.
-const HEADER_BYTES: usize = 80;
+/// Channels, faces, totals and the length of the lanes' names, 8 bytes each.
+const HEADER_BYTES: usize = 88;
 
 /// Moments of one half of a face's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Default)]
@@ -98,6 +99,8 @@ pub struct FaceMoments {
     counts: Vec<[u32; 4]>,
     /// Totals for the report.
     pub summary: TraceSummary,
+    /// The lanes that traced the run, for the report; names without line breaks.
+    pub lanes: BTreeSet<String>,
 }
 
 /// Bytes that are no moments.
@@ -112,7 +115,13 @@ impl FaceMoments {
     /// An empty run for the given number of channels, 1 to [`MAX_CHANNELS`].
     pub fn new(channels: usize) -> Self {
         debug_assert!((1..=MAX_CHANNELS).contains(&channels));
-        Self { channels, sums: Vec::new(), counts: Vec::new(), summary: TraceSummary::default() }
+        Self {
+            channels,
+            sums: Vec::new(),
+            counts: Vec::new(),
+            summary: TraceSummary::default(),
+            lanes: BTreeSet::new(),
+        }
     }
 
     /// Number of channels.
@@ -162,18 +171,22 @@ impl FaceMoments {
         self.sums.extend_from_slice(&other.sums);
         self.counts.extend_from_slice(&other.counts);
         self.summary.merge(&other.summary);
+        self.lanes.extend(other.lanes.iter().cloned());
     }
 
-    /// The artefact's bytes: magic, channels, faces, totals, counts, sums; little-endian.
+    /// The artefact's bytes: magic, channels, faces, totals, length of the names, counts, sums; little-endian; then
+    /// the lanes' names, a line each.
     pub fn to_bytes(&self) -> Vec<u8> {
         let s = &self.summary;
         let saved = [s.rays_skipped_empty, s.rays_skipped_buried, s.rays_saved_adaptive, s.rays_skipped_duplicate];
         let counts = [self.channels as u64, self.counts.len() as u64, s.samples, s.invalid];
-        let header = [&counts[..], &[s.rays, s.rays_cut], &saved].concat();
+        let names: String = self.lanes.iter().flat_map(|lane| [lane.as_str(), "\n"]).collect();
+        let header = [&counts[..], &[s.rays, s.rays_cut], &saved, &[names.len() as u64]].concat();
         let mut bytes = MAGIC.to_vec();
         bytes.extend(header.iter().flat_map(|v| v.to_le_bytes()));
         bytes.extend_from_slice(cast_slice(&self.counts));
         bytes.extend_from_slice(cast_slice(&self.sums));
+        bytes.extend_from_slice(names.as_bytes());
         bytes
     }
 
@@ -186,15 +199,17 @@ impl FaceMoments {
         for (field, chunk) in fields.iter_mut().zip(header.chunks_exact(8)) {
             *field = u64::from_le_bytes(chunk.try_into().map_err(|_| error("the header is cut short"))?);
         }
-        let [channels, faces, samples, invalid, rays, rays_cut, saved @ ..] = fields;
-        let [rays_skipped_empty, rays_skipped_buried, rays_saved_adaptive, rays_skipped_duplicate] = saved;
+        let [channels, faces, samples, invalid, rays, rays_cut, rest @ ..] = fields;
+        let [rays_skipped_empty, rays_skipped_buried, rays_saved_adaptive, rays_skipped_duplicate, name_bytes] = rest;
         if !(1..=MAX_CHANNELS as u64).contains(&channels) {
             return Err(error("the number of channels is out of range"));
         }
         let face_bytes = 16 + 2 * (4 * channels + 6) * 4;
-        if faces.checked_mul(face_bytes) != Some(body.len() as u64) {
+        if faces.checked_mul(face_bytes).and_then(|size| size.checked_add(name_bytes)) != Some(body.len() as u64) {
             return Err(error("the size does not match the number of faces"));
         }
+        let (body, names) = body.split_at(body.len() - name_bytes as usize);
+        let names = std::str::from_utf8(names).map_err(|_| error("a lane's name is no UTF-8"))?;
         let (counts, sums) = body.split_at(faces as usize * 16);
         let counts: Vec<[u32; 4]> = pod_collect_to_vec(counts);
         if counts.iter().any(|[a, of_a, b, of_b]| a > of_a || b > of_b) {
@@ -214,7 +229,8 @@ impl FaceMoments {
             rays_cut,
             rays_skipped_duplicate,
         };
-        Ok(Self { channels: channels as usize, sums, counts, summary })
+        let lanes = names.lines().map(str::to_owned).collect();
+        Ok(Self { channels: channels as usize, sums, counts, summary, lanes })
     }
 }
 
@@ -230,6 +246,7 @@ mod tests {
         let mut moments = FaceMoments::new(2);
         moments.push(&[half, HalfMoments::default()]);
         moments.summary.rays = 7;
+        moments.lanes = ["cpu", "gpu:Card:d+1"].map(str::to_owned).into();
         let bytes = moments.to_bytes();
         let back = FaceMoments::from_bytes(&bytes).unwrap();
         assert_eq!(back, moments);

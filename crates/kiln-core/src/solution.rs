@@ -2,6 +2,7 @@
 
 use crate::TraceSummary;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// Vertex values of one instance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -171,4 +172,6 @@ pub struct SolveSummary {
     pub too_coarse: CoarseFaces,
     /// Totals of the trace tasks.
     pub trace: TraceSummary,
+    /// The lanes that they ran in.
+    pub trace_lanes: BTreeSet<String>,
 }

@@ -4,6 +4,7 @@ use crate::{
     BakeSettings, Digest, DigestBuilder, ErrorEstimate, LevelCounts, Sampling, SolveSummary, TraceSummary, Warning,
 };
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// The key of a task: a digest of its inputs, settings, kernel revision and lane. Equal keys mean equal results.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, Debug)]
@@ -43,8 +44,9 @@ impl TaskKind {
     /// other revisions are never taken for its own. A golden test in the kind's crate fails otherwise.
     pub const fn kernel_rev(self) -> u32 {
         match self {
-            Self::Import | Self::Plan | Self::Solve | Self::Export => 3,
-            Self::Trace => 5,
+            Self::Import | Self::Plan => 3,
+            Self::Solve | Self::Export => 4,
+            Self::Trace => 6,
         }
     }
 
@@ -60,13 +62,25 @@ impl TaskKind {
     }
 }
 
-/// Where a task's arithmetic runs. Results are bit for bit the same within a lane, not across lanes.
+/// The trace lane of bakes whose pieces are traced in whatever lane there is. Their keys are made for it, so that their
+/// results never pass for those of one lane.
+pub const MIXED_LANE: &str = "mixed";
+
+/// Where a task's arithmetic runs. Results are bit for bit the same within a lane, not across lanes, but for
+/// [`MIXED_LANE`], which promises the error bound only.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Lane {
-    /// `cpu`, or `gpu:ADAPTER:DRIVER`.
+    /// `cpu`, `gpu:ADAPTER:DRIVER`, or [`MIXED_LANE`].
     pub trace: String,
     /// The instruction set of solves, such as `x86_64+avx2`.
     pub solve: String,
+}
+
+impl Lane {
+    /// Whether pieces are traced in any lane.
+    pub fn is_mixed(&self) -> bool {
+        self.trace == MIXED_LANE
+    }
 }
 
 /// A file of the source, by its path relative to the level's folder.
@@ -248,6 +262,8 @@ pub struct BakeSummary {
     pub sampling: Sampling,
     /// Totals of tracing.
     pub trace: TraceSummary,
+    /// The lanes that traced it.
+    pub trace_lanes: BTreeSet<String>,
     /// What the reach of rays left out.
     pub beyond_reach: BeyondReach,
     /// Estimated error over the level for each channel.

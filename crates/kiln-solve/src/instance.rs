@@ -159,6 +159,7 @@ impl SolveInput<'_> {
     fn unsampled(&self, mut summary: SolveSummary) -> Solution {
         let channels = self.moments.channel_count();
         summary.trace = self.moments.summary;
+        summary.trace_lanes = self.moments.lanes.clone();
         summary.error.resize(channels, kiln_core::ErrorEstimate::default());
         let values = vec![1.0; self.mesh.positions.len() * channels];
         let residuals = vec![0.0; values.len()];
@@ -168,6 +169,7 @@ impl SolveInput<'_> {
     fn solution(&self, weld: &Weld, values: &[f64], residuals: &[f64], mut summary: SolveSummary) -> Solution {
         let channels = self.moments.channel_count();
         summary.trace = self.moments.summary;
+        summary.trace_lanes = self.moments.lanes.clone();
         let (values, residuals) = (at_vertices(weld, values, channels), at_vertices(weld, residuals, channels));
         Solution { channels: channels as u32, values, residuals, unsampled: false, summary }
     }
@@ -251,6 +253,7 @@ impl Solved {
             error: differences.estimates(),
             too_coarse: Default::default(),
             trace: Default::default(),
+            trace_lanes: Default::default(),
         }
     }
 }

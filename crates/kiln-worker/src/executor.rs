@@ -45,6 +45,12 @@ pub enum TaskError {
     /// An artefact that it needs could not be had.
     #[error(transparent)]
     Artefact(#[from] ArtefactError),
+    /// The device that traces went away. The task may be tried elsewhere at once; this worker can do no more of its kind.
+    #[error("{reason}")]
+    DeviceLost {
+        /// Which device, and what its driver said.
+        reason: String,
+    },
     /// It was told to stop.
     #[error("the task was cancelled")]
     Cancelled,
@@ -72,10 +78,11 @@ pub trait Executor: Send + Sync + 'static {
     /// The lanes that it works in.
     fn lanes(&self) -> Lanes;
 
-    /// Runs one task. `progress` is told of rays as they are traced.
+    /// Runs one task of a bake whose trace lane is `lane`. `progress` is told of rays as they are traced.
     fn run(
         &self,
         spec: &TaskSpec,
+        lane: &str,
         artefacts: &dyn Artefacts,
         cancel: &CancelFlag,
         progress: &dyn Fn(u64),

@@ -20,6 +20,8 @@ pub(crate) struct LeasedTask {
     pub(crate) id: u64,
     pub(crate) key: TaskKey,
     pub(crate) spec: TaskSpec,
+    /// The trace lane of its bake.
+    pub(crate) lane: Arc<str>,
     pub(crate) cancel: CancelFlag,
 }
 
@@ -40,6 +42,8 @@ pub(crate) struct LeaseOutcome {
     pub(crate) results: Vec<v1::TaskResult>,
     pub(crate) failures: Vec<Failure>,
     pub(crate) seconds: f64,
+    /// The device was lost, and with it tasks that have neither result nor failure.
+    pub(crate) lost: Option<String>,
 }
 
 /// A task that failed.
@@ -68,9 +72,11 @@ impl Bench {
     pub(crate) fn run(&self, tasks: &[LeasedTask], progress: &Progress) -> LeaseOutcome {
         let mut failures = Vec::new();
         let mut done = Vec::new();
+        let mut lost = None;
         for (task, outcome) in tasks.iter().zip(self.run_all(tasks, progress)) {
             match outcome {
                 Ok(result) => done.push(result),
+                Err(TaskError::DeviceLost { reason }) => lost = Some(reason),
                 Err(error) => failures.extend(failure(task, &error)),
             }
         }
@@ -86,7 +92,7 @@ impl Bench {
                 Vec::new()
             }
         };
-        LeaseOutcome { results, failures, seconds }
+        LeaseOutcome { results, failures, seconds, lost }
     }
 
     /// Outcomes in the order of the tasks.
@@ -150,7 +156,7 @@ fn run_task(
     }
     let (began, sheet) = (Instant::now(), Sheet::default());
     // A bug in a task must not take the worker and its other leases down.
-    let run = || executor.run(&task.spec, artefacts, &task.cancel, progress);
+    let run = || executor.run(&task.spec, &task.lane, artefacts, &task.cancel, progress);
     let output = catch_unwind(AssertUnwindSafe(|| sheet.charge(run)));
     let output = output.map_err(|panic| TaskError::Failed { reason: describe_panic(&*panic) })??;
     Ok(Done {
@@ -184,10 +190,10 @@ fn not_stored(task: &Done, error: &ArtefactError) -> Failure {
     }
 }
 
-/// What is said of a task that did not give a result; nothing of one that was cancelled.
+/// What is said of a task that did not give a result; nothing of one that was cancelled or is handed back.
 fn failure(task: &LeasedTask, error: &TaskError) -> Option<Failure> {
     let (kind, missing) = match error {
-        TaskError::Cancelled => return None,
+        TaskError::Cancelled | TaskError::DeviceLost { .. } => return None,
         TaskError::Refused { .. } => (v1::TaskFailureKind::Refused, None),
         TaskError::Failed { .. } => (v1::TaskFailureKind::Failed, None),
         TaskError::Artefact(ArtefactError::Missing { digest }) => (v1::TaskFailureKind::Artefact, Some(*digest)),

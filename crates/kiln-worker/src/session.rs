@@ -74,6 +74,12 @@ pub enum WorkerError {
     /// Its threads could not be started.
     #[error("the worker's threads cannot be started: {0}")]
     Threads(#[from] std::io::Error),
+    /// What it traces on is gone. Its leases were handed back.
+    #[error("{reason}; the worker has left the farm: see to the driver, then start it again")]
+    DeviceLost {
+        /// Which device, and what its driver said.
+        reason: String,
+    },
 }
 
 /// Leases taken at once: while one runs out of tasks, the next keeps the threads busy.
@@ -98,18 +104,19 @@ pub async fn run(
         next_sequence: 1,
         finished,
         draining_until: None,
+        lost: None,
     };
     let mut shutdown = pin!(shutdown);
     let mut wait = FIRST_WAIT;
     loop {
         let began = Instant::now();
         match worker.connection(&farm, &mut finishes, shutdown.as_mut()).await {
-            Ok(()) => return Ok(()),
+            Ok(()) => return worker.left(),
             Err(status) if is_final(&status) => return Err(WorkerError::Refused(status)),
             Err(status) => tracing::warn!(reason = status.message(), "the coordinator is gone; connecting again"),
         }
         if worker.draining_until.is_some() {
-            return Ok(());
+            return worker.left();
         }
         wait = if began.elapsed() > LAST_WAIT { FIRST_WAIT } else { (wait * 2).min(LAST_WAIT) };
         tokio::select! {
@@ -137,6 +144,8 @@ struct Worker {
     next_sequence: u64,
     finished: mpsc::Sender<Finish>,
     draining_until: Option<Instant>,
+    /// Why it leaves, if its device was lost.
+    lost: Option<String>,
 }
 
 struct LeasePart {
@@ -186,10 +195,7 @@ impl Worker {
                     heard = Instant::now();
                     self.hear(message?, &mut to_say);
                 }
-                () = &mut shutdown, if self.draining_until.is_none() => {
-                    self.draining_until = Some(Instant::now() + DRAIN);
-                    to_say.push(Say::Draining(v1::Draining { deadline_ms: DRAIN.as_millis() as u64 }));
-                }
+                () = &mut shutdown, if self.draining_until.is_none() => self.drain(&mut to_say),
                 Some(finish) = finishes.recv() => self.finish(finish, &mut to_say),
                 _ = heartbeat.tick() => {
                     if heard.elapsed() > period * SILENT_HEARTBEATS {
@@ -202,9 +208,20 @@ impl Worker {
         }
     }
 
-    /// Whether it was told to leave and has nothing left to do, or no time.
+    /// What is said once it has left.
+    fn left(&mut self) -> Result<(), WorkerError> {
+        self.lost.take().map_or(Ok(()), |reason| Err(WorkerError::DeviceLost { reason }))
+    }
+
+    fn drain(&mut self, to_say: &mut Vec<Say>) {
+        self.draining_until = Some(Instant::now() + DRAIN);
+        to_say.push(Say::Draining(v1::Draining { deadline_ms: DRAIN.as_millis() as u64 }));
+    }
+
+    /// Whether it was told to leave and has nothing left to do, or no time. One that hands leases back waits until the
+    /// coordinator, which then knows, ends the session.
     fn is_drained(&self) -> bool {
-        let is_idle = self.leases.is_empty() && self.unsettled.is_empty();
+        let is_idle = self.leases.is_empty() && self.unsettled.is_empty() && self.lost.is_none();
         self.draining_until.is_some_and(|until| is_idle || Instant::now() >= until)
     }
 
@@ -263,9 +280,10 @@ impl Worker {
     fn start(&mut self, message: v1::Lease, to_say: &mut Vec<Say>) {
         let Some(lease) = message.lease else { return };
         let mut tasks = Vec::with_capacity(message.tasks.len());
+        let lane: Arc<str> = message.lane.map_or_else(String::new, |lane| lane.trace).into();
         for task in message.tasks {
             let (id, key_bytes) = (task.task_id, task.key.clone());
-            match leased_task(task) {
+            match leased_task(task, &lane) {
                 Ok(task) => tasks.push(task),
                 Err(error) => to_say.push(Say::Failed(v1::TaskFailed {
                     lease: Some(lease),
@@ -313,20 +331,33 @@ impl Worker {
                         missing: failure.missing.map_or_else(Vec::new, |digest| digest.0.to_vec()),
                     })
                 }));
-                if outcome.results.is_empty() {
-                    return;
+                if !outcome.results.is_empty() {
+                    let results = v1::LeaseResults {
+                        lease: Some(part.lease),
+                        entries: outcome.results,
+                        lease_seconds: outcome.seconds,
+                        sequence: self.next_sequence,
+                    };
+                    self.unsettled.insert(self.next_sequence, results.clone());
+                    self.next_sequence += 1;
+                    to_say.push(Say::Results(results));
                 }
-                let results = v1::LeaseResults {
-                    lease: Some(part.lease),
-                    entries: outcome.results,
-                    lease_seconds: outcome.seconds,
-                    sequence: self.next_sequence,
-                };
-                self.unsettled.insert(self.next_sequence, results.clone());
-                self.next_sequence += 1;
-                to_say.push(Say::Results(results));
+                if let Some(reason) = outcome.lost {
+                    self.lose(reason, part.lease, to_say);
+                }
             }
         }
+    }
+
+    /// The device is gone: the worker leaves, so that it gets no more leases, and hands this one back.
+    fn lose(&mut self, reason: String, lease: v1::LeaseRef, to_say: &mut Vec<Say>) {
+        tracing::error!(reason, "the device is lost; the worker hands its leases back and leaves");
+        if self.draining_until.is_none() {
+            self.drain(to_say);
+        }
+        self.lost.get_or_insert(reason);
+        let reason = v1::ReturnReason::Draining.into();
+        to_say.push(Say::Returned(v1::LeaseReturned { lease: Some(lease), reason }));
     }
 }
 
@@ -364,10 +395,10 @@ impl ProgressSender {
     }
 }
 
-fn leased_task(task: v1::LeasedTask) -> Result<LeasedTask, kiln_proto::FieldError> {
+fn leased_task(task: v1::LeasedTask, lane: &Arc<str>) -> Result<LeasedTask, kiln_proto::FieldError> {
     let key = TaskKey(digest("key", &task.key)?);
     let spec = kiln_proto::required("spec", task.spec)?.try_into()?;
-    Ok(LeasedTask { id: task.task_id, key, spec, cancel: CancelFlag::default() })
+    Ok(LeasedTask { id: task.task_id, key, spec, lane: Arc::clone(lane), cancel: CancelFlag::default() })
 }
 
 fn request(message: Say) -> v1::SessionRequest {

@@ -67,6 +67,9 @@ pub(crate) enum BackendChoice {
     Cpu,
     /// A graphics card; a software driver too if KILN_GPU=software is set.
     Gpu,
+    /// The CPU and a graphics card, if there is one, side by side; of a farm, whatever its workers have. The result is within
+    /// the error bound, but not the same bit for bit from run to run.
+    Mixed,
 }
 
 #[derive(Debug, Subcommand)]

@@ -23,7 +23,7 @@ use crate::{
 use anyhow::Context;
 use kiln_gpu::{AdapterChoice, GpuDevice};
 use kiln_proto::client::Farm;
-use kiln_worker::tasks::Backend;
+use kiln_worker::tasks::{Backend, Backends};
 
 /// Makes the process's thread pool as wide as asked.
 pub(crate) fn use_threads(common: &Common) -> Result<(), Failure> {
@@ -37,11 +37,21 @@ pub(crate) fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
     Ok(runtime.context("the runtime cannot be started")?)
 }
 
-/// A graphics card if there is one and it is wanted, else the CPU.
-pub(crate) fn choose_backend(common: &Common) -> Result<Backend, Failure> {
-    let open = |choice: &AdapterChoice| GpuDevice::open(choice).map_err(anyhow::Error::from);
+/// What bakes trace on.
+pub(crate) fn choose_backends(common: &Common) -> Result<Backends, Failure> {
     match common.backend {
-        BackendChoice::Cpu => Ok(Backend::Cpu),
+        BackendChoice::Mixed => {
+            Ok(Backends::mixed(GpuDevice::open(&AdapterChoice::from_env()).map_err(anyhow::Error::from)?))
+        }
+        one => choose_backend(one).map(Backends::from),
+    }
+}
+
+/// A graphics card if there is one and it is wanted, else the CPU; the CPU too where both are.
+pub(crate) fn choose_backend(choice: BackendChoice) -> Result<Backend, Failure> {
+    let open = |choice: &AdapterChoice| GpuDevice::open(choice).map_err(anyhow::Error::from);
+    match choice {
+        BackendChoice::Cpu | BackendChoice::Mixed => Ok(Backend::Cpu),
         BackendChoice::Auto => Ok(open(&AdapterChoice::Real)?.map_or(Backend::Cpu, Backend::Gpu)),
         BackendChoice::Gpu => open(&AdapterChoice::from_env())?.map(Backend::Gpu).ok_or_else(|| {
             let advice =

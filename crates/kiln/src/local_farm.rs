@@ -1,6 +1,6 @@
 //! A farm in this process: coordinator and worker over a connection in memory.
 
-use crate::{args::Common, commands::choose_backend, data_folder::data_folder, failure::Failure};
+use crate::{args::Common, commands::choose_backends, data_folder::data_folder, failure::Failure};
 use anyhow::Context;
 use kiln_coordinator::{Config, Coordinator, Unfinished, in_memory};
 use kiln_proto::client::{Bearer, Farm};
@@ -23,15 +23,16 @@ pub(crate) struct LocalFarm {
     /// What the worker runs tasks with.
     pub(crate) executor: Arc<BakeExecutor>,
     stop: watch::Sender<bool>,
-    worker: JoinHandle<Result<(), kiln_worker::WorkerError>>,
+    /// Ends by itself only where it cannot go on.
+    pub(crate) worker: JoinHandle<Result<(), kiln_worker::WorkerError>>,
     coordinator: JoinHandle<Result<(), kiln_coordinator::ServeError>>,
 }
 
 impl LocalFarm {
     /// Opens the data folder (waiting for another process that uses it) and starts both.
     pub(crate) async fn start(common: &Common, say: impl Fn(&str)) -> Result<Self, Failure> {
-        let backend = choose_backend(common)?;
-        let describe = backend.describe();
+        let backends = choose_backends(common)?;
+        let describe = backends.describe();
         let folder = data_folder(common, "bake")?;
         let store = Arc::new(open_store(&folder, &say)?);
         let config =
@@ -46,10 +47,10 @@ impl LocalFarm {
             name: "this process".to_owned(),
             roles: vec![Role::Trace, Role::Reduce],
             adapter: describe.clone(),
-            threads: common.thread_count(),
+            threads: backends.threads(common.thread_count()),
             memory_bytes: super::commands::worker::memory_bytes(),
         };
-        let executor = Arc::new(BakeExecutor::new(backend));
+        let executor = Arc::new(BakeExecutor::new(backends));
         let worker = tokio::spawn(kiln_worker::run(
             Farm::over(connector.channel(), bearer.clone()),
             Arc::<BakeExecutor>::clone(&executor),

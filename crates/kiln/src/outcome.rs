@@ -50,7 +50,11 @@ impl Outcome {
         let lane = self.bake.lane.clone().unwrap_or_default();
         let run = Run {
             settings,
-            backend: serde_json::json!({ "trace": lane.trace, "solve": lane.solve }),
+            backend: serde_json::json!({
+                "trace": lane.trace,
+                "traced_in": self.baked.summary.trace_lanes,
+                "solve": lane.solve,
+            }),
             stages: &stages(&self.bake),
             seconds,
             cache: self.cache(),

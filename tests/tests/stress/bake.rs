@@ -55,7 +55,7 @@ pub(crate) fn try_bake(level: &Level, settings: &BakeSettings) -> Result<Outcome
         settings: settings.clone(),
     };
     let source = memory.add(codec::encode(&manifest));
-    let run = Run { memory, executor: BakeExecutor::new(Backend::Cpu) };
+    let run = Run { memory, executor: BakeExecutor::new(Backend::Cpu.into()) };
     let (level, _) = run.task(&TaskSpec::Import { source })?;
     let solutions = run.solutions(level)?;
     let solutions = run.memory.add(codec::encode(&solutions));
@@ -74,7 +74,7 @@ struct Run {
 impl Run {
     /// Runs a task and keeps what it gives.
     fn task(&self, spec: &TaskSpec) -> Result<(Digest, Vec<u8>), TaskError> {
-        let output = self.executor.run(spec, &self.memory, &CancelFlag::default(), &|_| {})?;
+        let output = self.executor.run(spec, "cpu", &self.memory, &CancelFlag::default(), &|_| {})?;
         output.attachments.into_iter().for_each(|bytes| {
             self.memory.add(bytes);
         });

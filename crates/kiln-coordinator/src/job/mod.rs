@@ -282,7 +282,7 @@ fn trace(graph: &TaskGraph, piece: u32, lane: &Lane) -> Task {
         key: task.key,
         spec: TaskSpec::Trace { level: graph.level, task: task.clone() },
         cost: task.ray_count,
-        needs: Requirements { lane: Some(lane.trace.clone()), memory_bytes: 0 },
+        needs: Requirements { lane: (!lane.is_mixed()).then(|| lane.trace.clone()), memory_bytes: 0 },
         locality: graph.level,
         expect: Expect::Moments { faces: task.face_count as usize, channels: graph.sampling.kernel.channel_count() },
     }

@@ -77,6 +77,7 @@ pub(crate) fn baked() -> Baked {
         counts: LevelCounts::default(),
         sampling: sampling(),
         trace: TraceSummary::default(),
+        trace_lanes: Default::default(),
         beyond_reach: kiln_core::BeyondReach::default(),
         error: Vec::new(),
         meshes: Vec::new(),
@@ -115,6 +116,23 @@ fn the_whole_path() {
     job.succeed(Success { digest: Digest::of(b"baked"), baked: baked(), from_store: false });
     assert!(job.is_over());
     assert_eq!(job.phase.shown(), v1::BakeState::Exporting, "shown as before until it is durable");
+}
+
+#[test]
+fn pieces_of_a_mixed_job_run_anywhere_under_keys_of_their_own() {
+    let mixed = Lane { trace: kiln_core::MIXED_LANE.to_owned(), ..lane() };
+    assert_ne!(answer_key(Digest::of(b"source"), &mixed), answer_key(Digest::of(b"source"), &lane()));
+    let mut job = job();
+    job.start(mixed.clone());
+    job.no_answer();
+    job.done(Node::Import, Digest::of(b"level"));
+    let TaskSpec::Plan(plan) = job.task(Node::Plan).unwrap().spec else { panic!("a plan task is no plan") };
+    assert_eq!(plan.lane, mixed, "the plan makes the keys");
+    job.done(Node::Plan, Digest::of(b"graph"));
+    job.planned(graph(&[1])).unwrap();
+    assert_eq!(job.task(Node::Trace(0)).unwrap().needs.lane, None);
+    job.done(Node::Trace(0), Digest::of(b"m0"));
+    assert_eq!(job.task(Node::Solve(0)).unwrap().needs.lane, Some(lane().solve));
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! Which job is served, and how much of it goes into a lease.
 
 use super::{Bench, failed};
-use crate::{Action, Config, Event, Explanation, RevokeReason, TaskId, TenantLimits};
+use crate::{Action, Config, Event, Explanation, ReturnReason, RevokeReason, TaskId, TenantLimits, WorkerId};
 use kiln_core::{JobId, TaskKind};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 #[test]
 fn what_nobody_can_run_fails_with_the_reason() {
@@ -44,6 +44,30 @@ fn memory_and_lanes_and_roles_are_minded() {
     assert_eq!(bench.given.len(), 2, "an export needs the role reduce");
     bench.worker_with(5, |capabilities| capabilities.trace_lanes.clear());
     assert_eq!(bench.last(5).job, 3, "and no lane");
+}
+
+#[test]
+fn a_job_without_a_lane_is_traced_in_all_and_outlives_one() {
+    let mut bench = Bench::new(Config { max_lease_tasks: 2, ..Config::default() });
+    bench.job(1);
+    bench.tasks_with(1, 6, |task| task.needs.lane = None);
+    bench.worker_with(1, |capabilities| capabilities.trace_lanes = BTreeSet::from(["gpu:x:1".to_owned()]));
+    let held = bench.last(1);
+    bench.worker(2);
+    let mut given = bench.last(2);
+    bench.worker_with(3, |capabilities| capabilities.roles.trace = false);
+    assert_eq!(bench.given.len(), 2, "nothing for who does not trace");
+    // The device is lost: its worker leaves, and hands back what it holds.
+    let (worker, lease, epoch) = (WorkerId(1), held.lease, held.epoch);
+    bench.apply(Event::WorkerDraining { worker, deadline_ms: 20_000 });
+    bench.apply(Event::LeaseReturned { worker, lease, epoch, reason: ReturnReason::Draining });
+    let mut traced: BTreeSet<TaskId> = given.tasks.iter().copied().collect();
+    while traced.len() < 6 {
+        bench.complete(&given, 0.01);
+        given = bench.last(2);
+        assert!(given.tasks.iter().all(|task| traced.insert(*task)), "{given:?}");
+    }
+    assert!(held.tasks.iter().all(|task| traced.contains(task)));
 }
 
 #[test]

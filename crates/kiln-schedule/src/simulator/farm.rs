@@ -156,13 +156,18 @@ impl Farm {
         let trace = random.range(1, 60) as usize;
         let solve = random.range(1, 10) as usize;
         let kinds = [(TaskKind::Import, 1), (TaskKind::Trace, trace), (TaskKind::Solve, solve), (TaskKind::Export, 1)];
-        let lane = if random.once_in(12) { "tpu" } else { "cpu" };
+        // One in four is a mixed bake, which any worker that traces may work for.
+        let lane = match random.range(0, 11) {
+            0 => Some("tpu"),
+            1..=3 => None,
+            _ => Some("cpu"),
+        };
         let level = Digest::of(&[random.range(0, 2) as u8]);
         let stages = kinds.map(|(kind, count)| {
             let mut task = || {
                 next += 1;
                 let needs = match kind {
-                    TaskKind::Trace => Some(lane.to_owned()),
+                    TaskKind::Trace => lane.map(str::to_owned),
                     TaskKind::Solve => Some("x86_64".to_owned()),
                     _ => None,
                 };

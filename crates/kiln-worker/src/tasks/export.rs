@@ -103,6 +103,7 @@ fn summary(level: &LoadedLevel, indices: &[u32], solutions: &[Solution], warning
         counts: level.level.counts.clone(),
         sampling: level.level.sampling.clone(),
         trace,
+        trace_lanes: solutions.iter().flat_map(|solution| &solution.summary.trace_lanes).cloned().collect(),
         beyond_reach: beyond_reach(level, indices, solutions),
         error: level_error(solutions, level.level.sampling.kernel.channel_count()),
         meshes: indices.iter().zip(solutions).map(mesh).collect(),

@@ -13,6 +13,7 @@ use crate::{
 };
 use glam::{DAffine3, DVec3};
 use kiln_core::{Bounds, Class, Digest, FaceGroup, Instance, Level, Mesh, REACH_EPSILON, codec};
+use kiln_gpu::GpuError;
 use kiln_plan::Reach;
 use kiln_trace::{MeshBvh, Scene, SceneObject, Tracer};
 use rayon::prelude::*;
@@ -41,7 +42,9 @@ pub struct LoadedLevel {
     reach: Reach,
     /// The instances that are traced.
     is_traced: Vec<bool>,
-    tracer: OnceLock<Result<SceneTracer, String>>,
+    scene: OnceLock<Arc<Scene>>,
+    /// Of the CPU and of the device.
+    tracers: [OnceLock<Result<SceneTracer, GpuError>>; 2],
 }
 
 impl LoadedLevel {
@@ -65,7 +68,7 @@ impl LoadedLevel {
         let nothing = Arc::new(Mesh::default());
         let mesh = |digest| Arc::clone(by_digest.get(digest).unwrap_or(&nothing));
         let meshes = level.meshes.iter().map(|entry| mesh(&entry.digest)).collect();
-        Ok(Self { level, digest, meshes, reach, is_traced, tracer: OnceLock::new() })
+        Ok(Self { level, digest, meshes, reach, is_traced, scene: OnceLock::new(), tracers: Default::default() })
     }
 
     /// A level whose meshes were loaded elsewhere. All of it is traced: rays may start anywhere.
@@ -74,7 +77,7 @@ impl LoadedLevel {
             return Err(out_of_range("mesh", instance.mesh));
         }
         let (reach, is_traced) = (reach(&level)?, vec![true; level.instances.len()]);
-        Ok(Self { level, digest, meshes, reach, is_traced, tracer: OnceLock::new() })
+        Ok(Self { level, digest, meshes, reach, is_traced, scene: OnceLock::new(), tracers: Default::default() })
     }
 
     /// What the rays of each instance can come to.
@@ -93,7 +96,7 @@ impl LoadedLevel {
         Ok((instance, &self.meshes[instance.mesh as usize]))
     }
 
-    /// The scene and a tracer over it, built once: one BVH for each distinct mesh.
+    /// The scene and a backend's tracer over it, each built once: one BVH for each distinct mesh.
     pub fn tracer(&self, backend: &Backend) -> Result<&SceneTracer, TaskError> {
         self.tracer_by(backend, &BvhKeeper::default(), None)
     }
@@ -105,14 +108,13 @@ impl LoadedLevel {
         bvhs: &BvhKeeper,
         cache: Option<&LocalCache>,
     ) -> Result<&SceneTracer, TaskError> {
-        let build = || {
-            let scene = Arc::new(self.build_scene(bvhs, cache));
-            let tracer = backend.tracer(&scene).map_err(|error| error.to_string())?;
-            Ok((scene, tracer))
-        };
-        let build = || on_all_threads(|| account::part(Part::Building, build));
-        let tracer = account::waiting(|| self.tracer.get_or_init(build));
-        tracer.as_ref().map_err(|reason| TaskError::Failed { reason: reason.clone() })
+        let scene = build_once(&self.scene, || Arc::new(self.build_scene(bvhs, cache)));
+        let tracer = &self.tracers[usize::from(matches!(backend, Backend::Gpu(_)))];
+        let tracer = build_once(tracer, || Ok((Arc::clone(scene), backend.tracer(scene)?)));
+        tracer.as_ref().map_err(|error| match error {
+            GpuError::Trace(error) => error.into(),
+            other => TaskError::Failed { reason: other.to_string() },
+        })
     }
 
     fn build_scene(&self, bvhs: &BvhKeeper, cache: Option<&LocalCache>) -> Scene {
@@ -141,6 +143,11 @@ impl LoadedLevel {
         }
         Scene::build(bvhs, &objects)
     }
+}
+
+/// What the first task that asks builds; the others wait for it.
+fn build_once<T: Send + Sync>(slot: &OnceLock<T>, build: impl FnOnce() -> T + Send) -> &T {
+    account::waiting(|| slot.get_or_init(|| on_all_threads(|| account::part(Part::Building, build))))
 }
 
 /// What the rays of each instance can come to.
@@ -280,8 +287,10 @@ mod tests {
                 density_per_m2: 10.0,
                 ray_count: 0,
             };
-            let [part, whole] =
-                [&part, &whole].map(|level| trace::run(&task, level, level.tracer(&Backend::Cpu).unwrap()).unwrap());
+            let [part, whole] = [&part, &whole].map(|level| {
+                let tracer = level.tracer(&Backend::Cpu).unwrap();
+                trace::run(&task, level, tracer, "cpu".to_owned()).unwrap()
+            });
             assert_eq!(part.result, whole.result);
             traced += part.rays;
         }

@@ -1,6 +1,7 @@
 //! The tasks themselves: each turns artefacts into artefacts, by the crates that own the work.
 
 mod backend;
+mod backends;
 mod bvhs;
 mod counted;
 mod export;
@@ -11,25 +12,27 @@ mod solve;
 mod trace;
 
 pub use backend::Backend;
+pub use backends::Backends;
 pub use bvhs::BvhCounts;
 pub use levels::{LoadedLevel, SceneTracer, ground_plane};
 
 use crate::{Artefacts, CancelFlag, Executor, Lanes, TaskError, TaskOutput};
 use bvhs::BvhKeeper;
 use kiln_core::{TaskSpec, codec::DecodeError};
+use kiln_trace::TraceError;
 use levels::LevelCache;
 
 /// Runs every kind of task on this machine. Levels that it works on are kept loaded, with their BVHs.
 pub struct BakeExecutor {
     levels: LevelCache,
-    backend: Backend,
+    backends: Backends,
     bvhs: BvhKeeper,
 }
 
 impl BakeExecutor {
-    /// An executor that traces on the given backend.
-    pub fn new(backend: Backend) -> Self {
-        Self { levels: LevelCache::default(), backend, bvhs: BvhKeeper::default() }
+    /// An executor that traces on the given backends.
+    pub fn new(backends: Backends) -> Self {
+        Self { levels: LevelCache::default(), backends, bvhs: BvhKeeper::default() }
     }
 
     /// Where the BVHs of meshes came from so far.
@@ -45,12 +48,13 @@ impl BakeExecutor {
 
 impl Executor for BakeExecutor {
     fn lanes(&self) -> Lanes {
-        Lanes { trace: vec![self.backend.lane()], solve: kiln_solve::lane() }
+        Lanes { trace: self.backends.lanes(), solve: kiln_solve::lane() }
     }
 
     fn run(
         &self,
         spec: &TaskSpec,
+        lane: &str,
         artefacts: &dyn Artefacts,
         cancel: &CancelFlag,
         progress: &dyn Fn(u64),
@@ -63,8 +67,12 @@ impl Executor for BakeExecutor {
             TaskSpec::Plan(spec) => plan::run(spec, &*self.levels.get(spec.level, artefacts)?),
             TaskSpec::Trace { level, task } => {
                 let level = self.levels.get(*level, artefacts)?;
-                let tracer = level.tracer_by(&self.backend, &self.bvhs, artefacts.local_cache().as_ref())?;
-                let output = trace::run(task, &level, tracer)?;
+                let cache = artefacts.local_cache();
+                let trace = |backend: &Backend| {
+                    let tracer = level.tracer_by(backend, &self.bvhs, cache.as_ref())?;
+                    trace::run(task, &level, tracer, backend.lane())
+                };
+                let output = self.backends.trace(lane, trace)?;
                 progress(output.rays);
                 Ok(output)
             }
@@ -79,6 +87,17 @@ impl Executor for BakeExecutor {
 impl From<DecodeError> for TaskError {
     fn from(error: DecodeError) -> Self {
         Self::Failed { reason: error.to_string() }
+    }
+}
+
+impl From<&TraceError> for TaskError {
+    fn from(error: &TraceError) -> Self {
+        let reason = error.to_string();
+        if matches!(error, TraceError::DeviceLost { .. }) {
+            Self::DeviceLost { reason }
+        } else {
+            Self::Failed { reason }
+        }
     }
 }
 

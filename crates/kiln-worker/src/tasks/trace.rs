@@ -5,10 +5,12 @@ use crate::{TaskError, TaskOutput};
 use kiln_bake::{Piece, trace_piece};
 use kiln_core::{Bounds, TraceTask};
 
+/// `lane` is the tracer's.
 pub(super) fn run(
     task: &TraceTask,
     level: &LoadedLevel,
     (scene, tracer): &SceneTracer,
+    lane: String,
 ) -> Result<TaskOutput, TaskError> {
     let (instance, mesh) = level.instance(task.instance)?;
     let first = task.first_face as usize;
@@ -25,7 +27,8 @@ pub(super) fn run(
         sampling: &level.level.sampling,
         occluders_m: reach.group(task.instance as usize).map_or(Bounds::EMPTY, |group| reach.bounds_m(group)),
     };
-    let moments = trace_piece(&Counted(&**tracer), scene, &piece)
-        .map_err(|error| TaskError::Failed { reason: error.to_string() })?;
+    let moments = trace_piece(&Counted(&**tracer), scene, &piece);
+    let mut moments = moments.map_err(|error| TaskError::from(&error))?;
+    moments.lanes.insert(lane);
     Ok(TaskOutput { rays: moments.summary.rays, result: moments.to_bytes(), attachments: Vec::new() })
 }

@@ -3,8 +3,8 @@
 
 use kiln_core::{
     BakeSummary, Baked, Bounds, Digest, DigestBuilder, ExportSpec, FaceMoments, HalfMoments, Kernel, Lane, Level,
-    LevelCounts, Mesh, MeshEntry, PlanSpec, Sampling, Solution, SolveSettings, SolveSummary, SolveTask, SourceManifest,
-    TaskGraph, TaskKey, TaskKind, TaskSpec, TraceSummary, TraceTask, Warning, codec,
+    LevelCounts, MIXED_LANE, Mesh, MeshEntry, PlanSpec, Sampling, Solution, SolveSettings, SolveSummary, SolveTask,
+    SourceManifest, TaskGraph, TaskKey, TaskKind, TaskSpec, TraceSummary, TraceTask, Warning, codec,
 };
 use kiln_worker::{Artefacts, CancelFlag, Executor, Lanes, TaskError, TaskOutput};
 use std::{
@@ -41,6 +41,7 @@ pub(crate) enum Fault {
     Panics,
     /// Gives a result that makes no sense.
     Lies,
+    LosesDevice,
 }
 
 impl Control {
@@ -101,17 +102,20 @@ impl Executor for Fake {
     fn run(
         &self,
         spec: &TaskSpec,
+        lane: &str,
         artefacts: &dyn Artefacts,
         cancel: &CancelFlag,
         progress: &dyn Fn(u64),
     ) -> Result<TaskOutput, TaskError> {
         if spec.kind() == TaskKind::Trace {
+            assert!(lane == MIXED_LANE || self.trace_lanes.iter().any(|own| own == lane), "{lane}");
             self.control.pass(cancel)?;
         }
         let fault = self.control.fault.lock().unwrap().filter(|(kind, _)| *kind == spec.kind()).map(|(_, how)| how);
         match fault {
             Some(Fault::Fails) => return Err(TaskError::Failed { reason: "the moon is full".into() }),
             Some(Fault::Panics) => panic!("the moon is full"),
+            Some(Fault::LosesDevice) => return Err(TaskError::DeviceLost { reason: "the card fell out".into() }),
             Some(Fault::Lies) | None => {}
         }
         let mut output = match spec {
@@ -263,6 +267,7 @@ fn export(spec: &ExportSpec, artefacts: &dyn Artefacts) -> Result<TaskOutput, Ta
         counts: level.counts,
         sampling: level.sampling,
         trace: TraceSummary::default(),
+        trace_lanes: Default::default(),
         beyond_reach: kiln_core::BeyondReach::default(),
         error: Vec::new(),
         meshes: Vec::new(),

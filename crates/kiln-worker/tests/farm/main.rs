@@ -5,6 +5,7 @@
 mod cut;
 mod fake;
 mod faults;
+mod mixed;
 mod setup;
 mod steering;
 

@@ -110,7 +110,24 @@ impl TestFarm {
         artefacts: Arc<dyn Artefacts>,
         control: Arc<Control>,
     ) -> TestWorker {
-        let executor = Arc::new(Fake { control, trace_lanes: vec!["cpu".into()] });
+        self.worker_in("cpu", name, farm, artefacts, control)
+    }
+
+    /// A worker that traces in a lane, with the coordinator's own store and a control of its own.
+    pub(crate) fn worker_of(&self, lane: &str, name: &str, control: &Arc<Control>) -> TestWorker {
+        let artefacts = Arc::new(LocalArtefacts(Arc::clone(&self.store)));
+        self.worker_in(lane, name, self.client(), artefacts, Arc::clone(control))
+    }
+
+    fn worker_in(
+        &self,
+        lane: &str,
+        name: &str,
+        farm: Farm,
+        artefacts: Arc<dyn Artefacts>,
+        control: Arc<Control>,
+    ) -> TestWorker {
+        let executor = Arc::new(Fake { control, trace_lanes: vec![lane.to_owned()] });
         let config = WorkerConfig {
             worker_id: name.to_owned(),
             name: format!("worker {name}"),
@@ -129,6 +146,13 @@ impl TestFarm {
     /// Uploads a level and submits it.
     pub(crate) async fn submit(&self, request_id: &str, level: &str) -> v1::Bake {
         let (submission, files) = submission(request_id, level);
+        self.client().submit_with_files(&submission, &files).await.unwrap().0
+    }
+
+    /// Uploads a level and submits it for any lane.
+    pub(crate) async fn submit_mixed(&self, request_id: &str, level: &str) -> v1::Bake {
+        let (submission, files) = submission(request_id, level);
+        let submission = Submission { backend: v1::Backend::Mixed, ..submission };
         self.client().submit_with_files(&submission, &files).await.unwrap().0
     }
 

@@ -1,8 +1,8 @@
 //! `kiln bake`: a level in one process, by the farm's own code.
 
 use crate::{
-    args::{BakeArgs, Common},
-    failure::{Failure, GATE, INTERRUPTED},
+    args::{BackendChoice, BakeArgs, Common},
+    failure::{FAILED, Failure, GATE, INTERRUPTED},
     gates,
     local_farm::{LocalFarm, TENANT},
     outcome::{Outcome, write_whole},
@@ -13,7 +13,9 @@ use crate::{
 use kiln_core::{BakeSettings, Digest};
 use kiln_proto::{Submission, client::Farm, v1};
 use kiln_scene::{Gates, Sidecar};
+use kiln_worker::WorkerError;
 use std::time::Instant;
+use tokio::task::JoinHandle;
 
 pub(crate) fn run(args: &BakeArgs, common: &Common) -> Result<(), Failure> {
     super::use_threads(common)?;
@@ -37,10 +39,11 @@ async fn bake(args: &BakeArgs, common: &Common, started: Instant) -> Result<(), 
         None => Gates::default(),
     };
     let mut progress = Progress::new(common, args.ci);
-    let local = LocalFarm::start(common, |text| progress.line(text)).await?;
+    let mut local = LocalFarm::start(common, |text| progress.line(text)).await?;
     progress.line(&format!("tracing on {}", local.backend));
     let outcome = tokio::select! {
-        outcome = follow(&local.farm, source, &settings, &mut progress) => outcome,
+        outcome = follow(&local.farm, source, &settings, common, &mut progress) => outcome,
+        failure = worker_ended(&mut local.worker) => Err(failure),
         _ = tokio::signal::ctrl_c() => Err(interrupted()),
     };
     let finished = match outcome {
@@ -56,11 +59,24 @@ fn interrupted() -> Failure {
     Failure::new(INTERRUPTED, "interrupted; what is finished is kept, and the next run goes on from there")
 }
 
+/// Completes when this process's worker can do no more, as where its device was lost: nobody else would go on.
+async fn worker_ended(worker: &mut JoinHandle<Result<(), WorkerError>>) -> Failure {
+    match worker.await {
+        Ok(Err(WorkerError::DeviceLost { reason })) => {
+            let advice = "what is finished is kept; bake again, with --backend mixed to go on without the device";
+            Failure::new(FAILED, format!("{reason}; {advice}"))
+        }
+        Ok(Err(error)) => Failure::new(FAILED, error),
+        Ok(Ok(())) | Err(_) => Failure::new(FAILED, "this process's worker has ended"),
+    }
+}
+
 /// Submits the source and follows the bake to its end.
 async fn follow(
     farm: &Farm,
     source: Source,
     settings: &BakeSettings,
+    common: &Common,
     progress: &mut Progress,
 ) -> Result<Outcome, Failure> {
     cancel_left_over(farm).await?;
@@ -69,7 +85,8 @@ async fn follow(
     let submission = Submission {
         request_id: super::submit::unique_id(),
         source: manifest,
-        backend: v1::Backend::Auto,
+        // The only worker has the backend that was asked for.
+        backend: if common.backend == BackendChoice::Mixed { v1::Backend::Mixed } else { v1::Backend::Auto },
         priority: 0,
         name,
         tenant: TENANT.to_owned(),

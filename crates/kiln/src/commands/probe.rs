@@ -39,7 +39,7 @@ pub(crate) fn run(args: &ProbeArgs, common: &Common) -> Result<(), Failure> {
     let meshes = import.level.meshes.iter().filter_map(|mesh| by_digest.get(&mesh.digest).cloned()).collect();
     let level = LoadedLevel::new(Digest::default(), import.level, meshes).map_err(anyhow::Error::from)?;
 
-    let backend = super::choose_backend(common)?;
+    let backend = super::choose_backend(common.backend)?;
     let (_, tracer) = level.tracer(&backend).map_err(anyhow::Error::from)?;
     let origin = level.level.origin_m;
     let relative: Vec<ProbePoint> = points

@@ -27,6 +27,7 @@ async fn submit(args: &SubmitArgs, common: &Common) -> Result<(), Failure> {
             BackendChoice::Auto => v1::Backend::Auto,
             BackendChoice::Cpu => v1::Backend::Cpu,
             BackendChoice::Gpu => v1::Backend::Gpu,
+            BackendChoice::Mixed => v1::Backend::Mixed,
         },
         priority: args.priority,
         name,

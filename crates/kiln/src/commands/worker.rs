@@ -9,7 +9,7 @@ use crate::{
 };
 use anyhow::Context;
 use kiln_proto::client::{Bearer, Farm};
-use kiln_worker::{RemoteArtefacts, Role, WorkerConfig, tasks::BakeExecutor};
+use kiln_worker::{RemoteArtefacts, Role, WorkerConfig, WorkerError, tasks::BakeExecutor};
 use std::sync::Arc;
 
 pub(crate) fn run(args: &WorkerArgs, common: &Common) -> Result<(), Failure> {
@@ -19,8 +19,8 @@ pub(crate) fn run(args: &WorkerArgs, common: &Common) -> Result<(), Failure> {
 
 #[expect(clippy::print_stderr, reason = "the operator is told what the worker does")]
 async fn work(args: &WorkerArgs, common: &Common) -> Result<(), Failure> {
-    let backend = super::choose_backend(common)?;
-    let describe = backend.describe();
+    let backends = super::choose_backends(common)?;
+    let describe = backends.describe();
     // A worker keeps a folder of its own: several may run on one machine.
     let name = args.name.clone().unwrap_or_else(|| format!("{}-{}", host_name(), std::process::id()));
     let folder = data_folder(common, &format!("workers/{}", folder_name(&name)))?;
@@ -35,15 +35,18 @@ async fn work(args: &WorkerArgs, common: &Common) -> Result<(), Failure> {
         name: name.clone(),
         roles: args.roles.iter().map(|&role| role.into()).collect(),
         adapter: describe.clone(),
-        threads: common.thread_count(),
+        threads: backends.threads(common.thread_count()),
         memory_bytes: memory_bytes(),
     };
     eprintln!("kiln: worker {name} traces on {describe} with {} threads for {address}", config.threads);
-    let executor = Arc::new(BakeExecutor::new(backend));
+    let executor = Arc::new(BakeExecutor::new(backends));
     let tasks = Arc::<BakeExecutor>::clone(&executor);
     let ran = kiln_worker::run(session, tasks, Arc::new(artefacts), config, super::stop_signal()).await;
     executor.finish();
-    ran.map_err(|error| Failure::new(crate::failure::UNREACHABLE, error))
+    ran.map_err(|error| match error {
+        WorkerError::DeviceLost { .. } => Failure::new(crate::failure::FAILED, error),
+        _ => Failure::new(crate::failure::UNREACHABLE, error),
+    })
 }
 
 /// The bearer of the token in the file or in KILN_TOKEN, if there is one.

@@ -55,6 +55,7 @@ mod tests {
                 no_skip: BTreeSet::new(),
             },
             trace: TraceSummary { rays: 1000, rays_skipped_empty: 64, ..TraceSummary::default() },
+            trace_lanes: BTreeSet::new(),
             beyond_reach: BeyondReach { instances: 3, faces: 30, rays_cut: 400 },
             error: Vec::new(),
             meshes: Vec::new(),
