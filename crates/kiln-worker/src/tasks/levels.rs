@@ -230,10 +230,13 @@ impl LevelCache {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::trace, *};
-    use crate::ArtefactError;
+    use super::{
+        super::{Backends, trace},
+        *,
+    };
+    use crate::{ArtefactError, TaskOutput};
     use bytes::Bytes;
-    use kiln_core::{BakeSettings, TraceTask};
+    use kiln_core::{BakeSettings, FaceMoments, MIXED_LANE, TraceTask};
     use std::collections::BTreeMap;
 
     struct Memory(BTreeMap<Digest, Bytes>);
@@ -267,6 +270,50 @@ mod tests {
         [LoadedLevel::load(Digest::default(), &Memory(memory)).unwrap(), whole]
     }
 
+    /// For each instance that receives, a task over all its faces.
+    fn tasks(level: &Level) -> impl Iterator<Item = TraceTask> {
+        let receivers = level.instances.iter().enumerate().filter(|(_, instance)| instance.receives);
+        receivers.map(|(index, instance)| TraceTask {
+            key: kiln_core::TaskKey(Digest::default()),
+            family: Digest::default(),
+            instance: index as u32,
+            first_face: 0,
+            face_count: level.meshes[instance.mesh as usize].face_count,
+            density_per_m2: 10.0,
+            ray_count: 0,
+        })
+    }
+
+    fn traced(task: &TraceTask, level: &LoadedLevel, backend: &Backend) -> Result<TaskOutput, TaskError> {
+        trace::run(task, level, level.tracer(backend)?, backend.lane())
+    }
+
+    /// On a real device: before the loss on it, after it on the processor, with that one's bits.
+    #[test]
+    fn pieces_outlive_their_device() {
+        let device = kiln_gpu::GpuDevice::open(&kiln_gpu::AdapterChoice::Software).unwrap();
+        let device = device.expect("this test needs a software Vulkan driver, such as mesa-vulkan-drivers");
+        let [level, fresh] = courtyard();
+        let task = tasks(&level.level).next().unwrap();
+        let run = |level: &LoadedLevel, backends: &Backends, lane: &str| {
+            let output = backends.trace(lane, |backend| traced(&task, level, backend))?;
+            Ok::<_, TaskError>(FaceMoments::from_bytes(&output.result).unwrap())
+        };
+        let lanes = |moments: &FaceMoments| moments.lanes.iter().cloned().collect::<Vec<_>>();
+        let backends = Backends::mixed(Some(Arc::clone(&device)));
+        assert_eq!(lanes(&run(&level, &backends, MIXED_LANE).unwrap()), [device.lane()]);
+        device.destroy();
+        let on_processor = run(&level, &Backends::from(Backend::Cpu), "cpu").unwrap();
+        // Where the tracer was made before, and where it cannot be made any more.
+        for level in [&level, &fresh] {
+            let error = run(level, &Backends::mixed(Some(Arc::clone(&device))), &device.lane()).unwrap_err();
+            assert!(matches!(error, TaskError::DeviceLost { .. }), "{error}");
+            let backends = Backends::mixed(Some(Arc::clone(&device)));
+            assert_eq!(run(level, &backends, MIXED_LANE).unwrap(), on_processor);
+            assert_eq!(backends.lanes(), ["cpu"]);
+        }
+    }
+
     #[test]
     fn what_is_not_loaded_changes_nothing() {
         let [part, whole] = courtyard();
@@ -275,25 +322,12 @@ mod tests {
         assert!(part.meshes.iter().any(|mesh| mesh.faces.is_empty()));
         let size = |level: &LoadedLevel| level.tracer(&Backend::Cpu).unwrap().0.memory_bytes();
         assert!(size(&part) < size(&whole));
-        let receivers = whole.level.instances.iter().enumerate().filter(|(_, instance)| instance.receives);
-        let mut traced = 0;
-        for (index, instance) in receivers {
-            let task = TraceTask {
-                key: kiln_core::TaskKey(Digest::default()),
-                family: Digest::default(),
-                instance: index as u32,
-                first_face: 0,
-                face_count: whole.level.meshes[instance.mesh as usize].face_count,
-                density_per_m2: 10.0,
-                ray_count: 0,
-            };
-            let [part, whole] = [&part, &whole].map(|level| {
-                let tracer = level.tracer(&Backend::Cpu).unwrap();
-                trace::run(&task, level, tracer, "cpu".to_owned()).unwrap()
-            });
+        let mut rays = 0;
+        for task in tasks(&whole.level) {
+            let [part, whole] = [&part, &whole].map(|level| traced(&task, level, &Backend::Cpu).unwrap());
             assert_eq!(part.result, whole.result);
-            traced += part.rays;
+            rays += part.rays;
         }
-        assert!(traced > 0);
+        assert!(rays > 0);
     }
 }
