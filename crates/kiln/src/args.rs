@@ -112,10 +112,13 @@ mod tests {
             line.extend(argument.get_long().map(|long| format!("--{long}")));
             line.push("1".to_owned());
         }
-        if command.get_name() == "example" {
-            // Without `--list` it demands more than it says.
-            line.push("--list".to_owned());
-        }
+        // These demand more than they say.
+        let more = match line.join(" ").as_str() {
+            "kiln example" => Some("--list"),
+            "kiln bench bake" => Some("level.glb"),
+            _ => None,
+        };
+        line.extend(more.map(str::to_owned));
         vec![line]
     }
 
