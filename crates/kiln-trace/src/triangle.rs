@@ -197,7 +197,7 @@ impl TriangleRuns {
 /// seen counter-clockwise. Nothing behind the ray, beyond `t_max`, or in the plane.
 #[inline(always)]
 pub(crate) fn meet(corners: [Vec3; 3], ray: &TracedRay, margin: f32, t_max: f32) -> Option<(f32, bool)> {
-    let [a, b, c] = corners.map(|corner| corner.as_dvec3());
+    let [a, b, c] = corners.map(Vec3::as_dvec3);
     let (ab, ac, from_origin) = (b - a, c - a, a - Vec3::from_array(ray.origin).as_dvec3());
     let normal = ab.cross(ac);
     let slope = normal.dot(Vec3::from_array(ray.direction).as_dvec3());
