@@ -19,7 +19,7 @@ const MAX_EXTENT: f32 = 1e15;
 const MAX_HALVED_LEAF: usize = 4;
 
 /// One primitive a leaf: how many belong together is the collapse's decision. Neighbours within 6 of each other along a curve
-/// are paired, and 5 % of the nodes moved to better places: as good a tree as the library's medium preset makes in twice the time
+/// are paired, and 5 % of the nodes moved to better places once, not twice: trees within 2 % of the library's medium preset
 /// (docs/benchmarks/rays.md).
 const PARAMS: BvhBuildParams = BvhBuildParams {
     ploc_search_distance: PlocSearchDistance::Low,
