@@ -11,9 +11,10 @@
 //!
 //! How far away the hit is says the triangle's plane, `n (a − o) / n d` with `n = (b − a) × (c − a)`: its error is some units
 //! in the last place of the distance from the ray's origin to `a`, over the cosine, where that of the edge functions grows with the distance
-//! over the triangle's size, too. The distance is then kept between those at which the ray enters and leaves the triangle's own box. So no
-//! box that holds the triangle is further than its hit, to the rounding that boxes allow for ([`crate::node`]), and boxes need no further
-//! slack behind a hit; and slivers and rays in the plane, whose distance is mostly error, get one that lies where the triangle does.
+//! over the triangle's size, too. The distance is then kept between those at which the ray enters and leaves the triangle's own box, to
+//! rounding, and rounded to 18 bits, as on the CPU, so that coincident faces tie. So no box that holds the triangle is further behind its
+//! hit than the slack that `node.wgsl` gives hits; and slivers and rays in the plane, whose distance is mostly error, get one that
+//! lies where the triangle does.
 //! Corners lie in the order of their bits, with a bit where that is not the winding: coincident faces have distances that are equal bit
 //! for bit, in whatever order and winding their meshes have them, and the tie rule decides.
 
