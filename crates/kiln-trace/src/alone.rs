@@ -6,8 +6,8 @@ use crate::{
     mesh_bvh::MeshBvh,
     node::{BvhLink, LEAF_BIT, MAX_STACK, WideNode},
     path::{Compiled, Kernel},
-    ray::{HIT_SLACK, TracedRay, WIDEN},
-    triangle::{FLIPPED_BIT, TWO_SIDED_BIT, face_of, meet},
+    ray::{FARTHEST, HIT_SLACK, TracedRay, WIDEN},
+    triangle::{FLIPPED_BIT, TWO_SIDED_BIT, entry, face_of},
 };
 
 /// A child that waits for its turn, and the distance of its box.
@@ -17,19 +17,49 @@ pub(crate) struct Waiting {
     near: f32,
 }
 
-/// Room for the children that wait on the way through both levels.
-pub(crate) type Stack = [Waiting; 2 * MAX_STACK];
+/// Room for the children that wait on the way through both levels, in a number that makes checks of an index cheap.
+const STACK: usize = (2 * MAX_STACK).next_power_of_two();
+
+/// The children that wait on the way through both levels.
+#[derive(Debug)]
+pub(crate) struct Stack([Waiting; STACK]);
+
+impl Stack {
+    pub(crate) const NEW: Self = Self([Waiting { reference: 0, near: 0.0 }; STACK]);
+
+    #[inline(always)]
+    fn get(&self, at: usize) -> Waiting {
+        self.0[at % STACK]
+    }
+
+    #[inline(always)]
+    fn set(&mut self, at: usize, waiting: Waiting) {
+        self.0[at % STACK] = waiting;
+    }
+
+    /// Puts a child where it belongs among those of the same node, which begin at `bottom`, nearest on top.
+    #[inline(always)]
+    fn insert(&mut self, child: Waiting, bottom: usize, top: usize) {
+        let mut at = top;
+        while at > bottom && self.get(at - 1).near < child.near {
+            self.set(at, self.get(at - 1));
+            at -= 1;
+        }
+        self.set(at, child);
+    }
+}
 
 /// What the leaves of a tree hold.
 pub(crate) trait Leaves {
-    /// Takes note of what a ray hits in a leaf. `stack` is free to use.
+    /// Takes note of what a ray hits in a leaf. The stack is free to use from `top` on.
     fn visit<V: Compiled, const ANY: bool>(
         &self,
         first: u32,
         count: u32,
         ray: &TracedRay,
         best: &mut Hit,
-        stack: &mut [Waiting],
+        stack: &mut Stack,
+        top: usize,
     );
 }
 
@@ -48,42 +78,46 @@ impl Leaves for MeshLeaves<'_> {
         count: u32,
         ray: &TracedRay,
         best: &mut Hit,
-        _: &mut [Waiting],
+        _: &mut Stack,
+        _: usize,
     ) {
         self.test::<V>(first, count, ray, best);
     }
 }
 
 impl MeshLeaves<'_> {
-    /// Takes note of what a ray hits in a leaf; whether that is anything that comes before the best.
+    /// Takes note of what a ray hits in a leaf.
     #[inline(always)]
-    pub(crate) fn test<V: Compiled>(&self, first: u32, count: u32, ray: &TracedRay, best: &mut Hit) -> bool {
-        let triangles = &self.mesh.triangles;
-        let (mut lanes, margins) = triangles.crossed::<V>(first, count, ray);
-        let mut is_better = false;
+    fn test<V: Compiled>(&self, first: u32, count: u32, ray: &TracedRay, best: &mut Hit) {
+        let leaf = self.mesh.triangles.leaf(first, count);
+        let (mut lanes, margins) = leaf.edges::<V>(ray.origin).crossed(ray.direction);
         while lanes != 0 {
-            let lane = lanes.trailing_zeros();
+            let lane = lanes.trailing_zeros() as usize % 8;
             lanes &= lanes - 1;
-            let corners = triangles.corners(first, count, lane);
-            let Some((t, is_counter_clockwise)) = meet(corners, ray, margins[lane as usize & 7], best.t) else {
+            let seen = leaf.seen(lane, ray.origin);
+            let entry = || entry(leaf.corners(lane), ray.origin, ray.inverse);
+            let Some(met) = seen.meet(ray.direction, margins[lane], best.t, entry) else {
                 continue;
             };
-            let primitive = triangles.id(first, count, lane);
-            let is_front = is_counter_clockwise == (primitive & FLIPPED_BIT == 0);
-            let back_face = !is_front && primitive & TWO_SIDED_BIT == 0;
-            let hit = Hit { t, instance: self.instance, primitive: face_of(primitive), back_face };
+            let hit = self.hit(seen.primitive, met);
             if precedes(&hit, best) {
                 *best = hit;
-                is_better = true;
             }
         }
-        is_better
+    }
+
+    /// What a ray hits that has met the plane of a triangle.
+    #[inline(always)]
+    pub(crate) fn hit(&self, primitive: u32, (t, is_counter_clockwise): (f32, bool)) -> Hit {
+        let is_front = is_counter_clockwise == (primitive & FLIPPED_BIT == 0);
+        let back_face = !is_front && primitive & TWO_SIDED_BIT == 0;
+        Hit { t, instance: self.instance, primitive: face_of(primitive), back_face }
     }
 }
 
 /// The tie rule: at equal distances front faces come first, then the lowest instance, then the lowest face.
 #[inline(always)]
-fn precedes(hit: &Hit, best: &Hit) -> bool {
+pub(crate) fn precedes(hit: &Hit, best: &Hit) -> bool {
     let key = |h: &Hit| (h.back_face, h.instance, h.primitive);
     hit.t < best.t || (hit.t == best.t && key(hit) < key(best))
 }
@@ -92,13 +126,14 @@ fn precedes(hit: &Hit, best: &Hit) -> bool {
 #[inline(always)]
 fn enter<V: Lanes>(node: &WideNode, ray: &TracedRay, t_max: f32) -> ([f32; 8], u32) {
     let mut near = V::splat(0.0);
-    let mut far = V::splat(f32::INFINITY);
+    let mut far = V::splat(FARTHEST);
     for axis in 0..3 {
         let (origin, inverse) = (V::splat(ray.origin[axis]), V::splat(ray.inverse[axis]));
-        let near_plane = V::load(&node.bounds[usize::from(ray.near[axis])]);
-        let far_plane = V::load(&node.bounds[ray.far(axis)]);
-        near = near_plane.sub(origin).mul(inverse).max(near);
-        far = far_plane.sub(origin).mul(inverse).min(far);
+        let low = V::load(&node.bounds[axis]).sub(origin).mul(inverse);
+        let high = V::load(&node.bounds[axis + 3]).sub(origin).mul(inverse);
+        // The nearer plane is the one that the direction's sign tells, since roundings are monotonic.
+        near = low.min(high).max(near);
+        far = low.max(high).min(far);
     }
     let far = far.mul(V::splat(WIDEN)).min(V::splat(t_max * HIT_SLACK));
     let mut distances = [0.0; 8];
@@ -114,14 +149,16 @@ pub(crate) struct Walk<'a, L, const ANY: bool> {
     pub(crate) start: u32,
     pub(crate) ray: &'a TracedRay,
     pub(crate) best: &'a mut Hit,
-    pub(crate) stack: &'a mut [Waiting],
+    pub(crate) stack: &'a mut Stack,
+    /// Where the free part of the stack begins.
+    pub(crate) bottom: usize,
 }
 
 impl<L: Leaves, const ANY: bool> Kernel for Walk<'_, L, ANY> {
     #[inline(always)]
     fn run<V: Compiled>(self) {
-        let Self { nodes, leaves, start, ray, best, stack } = self;
-        let mut top = 0;
+        let Self { nodes, leaves, start, ray, best, stack, bottom } = self;
+        let mut top = bottom;
         let mut current = start;
         if nodes.is_empty() {
             return;
@@ -131,40 +168,46 @@ impl<L: Leaves, const ANY: bool> Kernel for Walk<'_, L, ANY> {
                 let node = &nodes[current as usize];
                 let (near, mut mask) = enter::<V>(node, ray, best.t);
                 if mask != 0 {
-                    let bottom = top;
+                    let mut nearest = child(node, &near, &mut mask);
+                    let first = top;
                     while mask != 0 {
-                        let slot = mask.trailing_zeros() as usize & 7;
-                        mask &= mask - 1;
-                        // Insertion keeps the nearest of this node's children on top.
-                        let waiting = Waiting { reference: node.children[slot], near: near[slot] };
-                        let mut at = top;
-                        while at > bottom && stack[at - 1].near < waiting.near {
-                            stack[at] = stack[at - 1];
-                            at -= 1;
+                        let other = child(node, &near, &mut mask);
+                        if other.near < nearest.near {
+                            stack.set(top, nearest);
+                            nearest = other;
+                        } else {
+                            stack.insert(other, first, top);
                         }
-                        stack[at] = waiting;
                         top += 1;
                     }
-                    top -= 1;
-                    current = stack[top].reference;
+                    current = nearest.reference;
                     continue;
                 }
             } else if let BvhLink::Leaf { first, count } = BvhLink::of_reference(current) {
-                leaves.visit::<V, ANY>(first, count, ray, best, &mut stack[top..]);
+                leaves.visit::<V, ANY>(first, count, ray, best, stack, top);
                 if ANY && best.instance != u32::MAX {
                     return;
                 }
             }
             loop {
-                if top == 0 {
+                if top == bottom {
                     return;
                 }
                 top -= 1;
-                if stack[top].near <= best.t * HIT_SLACK {
-                    current = stack[top].reference;
+                let next = stack.get(top);
+                if next.near <= best.t * HIT_SLACK {
+                    current = next.reference;
                     break;
                 }
             }
         }
     }
+}
+
+/// Takes the first child from a mask.
+#[inline(always)]
+fn child(node: &WideNode, near: &[f32; 8], mask: &mut u32) -> Waiting {
+    let slot = mask.trailing_zeros() as usize % 8;
+    *mask &= *mask - 1;
+    Waiting { reference: node.children[slot], near: near[slot] }
 }

@@ -61,6 +61,7 @@ impl Lanes for Avx2 {
     }
 
     binary!(
+        add _mm256_add_ps,
         sub _mm256_sub_ps,
         mul _mm256_mul_ps,
         min _mm256_min_ps,
@@ -78,6 +79,16 @@ impl Lanes for Avx2 {
     fn select(mask: __m256, a: Self, b: Self) -> Self {
         // SAFETY: a mask comes from an Avx2.
         Self(unsafe { _mm256_blendv_ps(b.0, a.0, mask) })
+    }
+
+    #[inline(always)]
+    fn least(self) -> f32 {
+        // SAFETY: an Avx2 exists only where the processor has AVX2.
+        unsafe {
+            let x = _mm_min_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
+            let x = _mm_min_ps(x, _mm_movehl_ps(x, x));
+            _mm_cvtss_f32(_mm_min_ss(x, _mm_movehdup_ps(x)))
+        }
     }
 
     #[inline(always)]

@@ -18,14 +18,51 @@ use crate::{
     lanes::Lanes,
     node::{BvhLink, LEAF_BIT, MAX_DEPTH, MAX_STACK, WideNode},
     path::{Compiled, Kernel},
-    ray::{HIT_SLACK, TracedRay, WIDEN},
+    ray::{FARTHEST, HIT_SLACK, TracedRay, WIDEN, inverse_of},
+    scene::SceneInstance,
 };
+use glam::Vec3;
 
 /// Rays of a bundle.
 pub(crate) const BUNDLE: usize = 64;
 
+/// Rays that are tested against one box at once.
+const GROUP: usize = 8;
+
+/// So many rays in the mean group make it worth while to test one box against groups, not eight boxes against each ray.
+const WORTH_WHILE: u32 = 3;
+
+/// One number of each ray of a bundle.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Column([f32; BUNDLE]);
+
+impl Column {
+    const ZERO: Self = Self([0.0; BUNDLE]);
+
+    #[inline(always)]
+    fn get(&self, ray: usize) -> f32 {
+        self.0[ray % BUNDLE]
+    }
+
+    #[inline(always)]
+    fn set(&mut self, ray: usize, x: f32) {
+        self.0[ray % BUNDLE] = x;
+    }
+
+    #[inline(always)]
+    fn group(&self, group: usize) -> &[f32; GROUP] {
+        &self.0.as_chunks().0[group]
+    }
+
+    #[inline(always)]
+    fn group_mut(&mut self, group: usize) -> &mut [f32; GROUP] {
+        &mut self.0.as_chunks_mut().0[group]
+    }
+}
+
 /// Where no more rays than this are left, each goes on alone.
-const FEW: u32 = 2;
+const FEW: u32 = 3;
 
 /// A child that waits for its turn.
 #[derive(Clone, Copy, Debug, Default)]
@@ -34,16 +71,31 @@ struct Waiting {
     mask: u64,
     reference: u32,
     slot: u8,
+    /// Distances of the node lie ray by ray, not slot by slot.
+    is_by_ray: bool,
     /// Depth of the node whose child it is.
     depth: u8,
     /// Where the first of the rays enters.
     near: f32,
 }
 
-/// Distance at which each ray enters each child of a node.
+/// Distances at which rays enter the children of a node: a column for each slot, or eight for each ray, one after the other.
 #[derive(Clone, Copy, Debug)]
-#[repr(C, align(32))]
-struct Distances([[f32; 8]; BUNDLE]);
+#[repr(C, align(64))]
+struct Distances([Column; 8]);
+
+impl Distances {
+    #[inline(always)]
+    fn of_ray(&mut self, ray: usize) -> &mut [f32; 8] {
+        self.0[ray / 8 % 8].group_mut(ray % 8)
+    }
+
+    /// Of a ray, where they lie ray by ray.
+    #[inline(always)]
+    fn get(&self, ray: usize, slot: usize) -> f32 {
+        self.0[ray / 8 % 8].get(ray % 8 * 8 + slot)
+    }
+}
 
 /// What the way through a tree needs to remember; what it holds before does not matter.
 #[derive(Debug)]
@@ -55,28 +107,115 @@ pub(crate) struct Memory {
 
 impl Memory {
     pub(crate) const NEW: Self = Self {
-        waiting: [Waiting { mask: 0, reference: 0, slot: 0, depth: 0, near: 0.0 }; MAX_STACK],
-        distances: [Distances([[0.0; 8]; BUNDLE]); MAX_DEPTH],
+        waiting: [Waiting { mask: 0, reference: 0, slot: 0, is_by_ray: false, depth: 0, near: 0.0 }; MAX_STACK],
+        distances: [Distances([Column::ZERO; 8]); MAX_DEPTH],
     };
 }
 
-/// The rays of a bundle as one tree sees them.
-pub(crate) type Rays = [TracedRay; BUNDLE];
+/// The rays of a bundle as one tree sees them, a column for each of their numbers.
+#[derive(Clone, Debug)]
+pub(crate) struct Rays {
+    origin: [Column; 3],
+    direction: [Column; 3],
+    /// One over the direction.
+    inverse: [Column; 3],
+}
+
+impl Rays {
+    pub(crate) const NEW: Self = {
+        let none = [Column::ZERO; 3];
+        Self { origin: none, direction: none, inverse: none }
+    };
+
+    /// Puts a ray in; [`Rays::finish`] is due before it is traced.
+    #[inline(always)]
+    pub(crate) fn put(&mut self, ray: usize, origin: Vec3, direction: Vec3) {
+        let (origin, direction) = (origin.to_array(), direction.to_array());
+        for axis in 0..3 {
+            self.origin[axis].set(ray, origin[axis]);
+            self.direction[axis].set(ray, direction[axis]);
+        }
+    }
+
+    /// Computes what follows from origins and directions.
+    #[inline(always)]
+    pub(crate) fn finish(&mut self) {
+        for axis in 0..3 {
+            for ray in 0..BUNDLE {
+                self.inverse[axis].set(ray, inverse_of(self.direction[axis].get(ray)));
+            }
+        }
+    }
+
+    /// Takes over the rays of a mask from world space into that of an instance, and maybe others beside them.
+    #[inline(always)]
+    pub(crate) fn put_seen_from(&mut self, instance: &SceneInstance, world: &Self, mask: u64) {
+        for group in 0..BUNDLE / 8 {
+            if mask >> (8 * group) & 0xff == 0 {
+                continue;
+            }
+            for ray in 8 * group..8 * group + 8 {
+                let (origin, direction) = (instance.point(world.origin(ray)), instance.direction(world.direction(ray)));
+                self.put(ray, origin, direction);
+                let direction = direction.to_array();
+                for axis in 0..3 {
+                    self.inverse[axis].set(ray, inverse_of(direction[axis]));
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn origin(&self, ray: usize) -> Vec3 {
+        Vec3::from_array(row(&self.origin, ray))
+    }
+
+    #[inline(always)]
+    pub(crate) fn direction(&self, ray: usize) -> Vec3 {
+        Vec3::from_array(row(&self.direction, ray))
+    }
+
+    #[inline(always)]
+    pub(crate) fn inverse(&self, ray: usize) -> [f32; 3] {
+        row(&self.inverse, ray)
+    }
+
+    /// One of the rays, to be traced alone.
+    #[inline(always)]
+    pub(crate) fn alone(&self, ray: usize) -> TracedRay {
+        TracedRay {
+            origin: row(&self.origin, ray),
+            direction: row(&self.direction, ray),
+            inverse: row(&self.inverse, ray),
+        }
+    }
+}
+
+#[inline(always)]
+fn row(columns: &[Column; 3], ray: usize) -> [f32; 3] {
+    [columns[0].get(ray), columns[1].get(ray), columns[2].get(ray)]
+}
 
 /// The best hits so far.
 #[derive(Debug)]
 pub(crate) struct Hits {
     best: [Hit; BUNDLE],
     /// Boxes beyond this are not entered: the closest hit's distance, widened; below 0 for a ray that wants no more.
-    reach: [f32; BUNDLE],
+    reach: Column,
 }
 
 impl Hits {
-    pub(crate) const NEW: Self = Self { best: [Hit::MISS; BUNDLE], reach: [0.0; BUNDLE] };
+    pub(crate) const NEW: Self = Self { best: [Hit::MISS; BUNDLE], reach: Column([-1.0; BUNDLE]) };
 
     /// Starts a ray that sees nothing beyond `t_max`.
     pub(crate) fn start(&mut self, ray: usize, t_max: f32) {
         self.set::<false>(ray, Hit { t: t_max, ..Hit::MISS });
+    }
+
+    /// Rays from here on are of no bundle.
+    #[inline(always)]
+    pub(crate) fn end(&mut self, count: usize) {
+        self.reach.0[count.min(BUNDLE)..].fill(-1.0);
     }
 
     /// The best hit of a ray, or of no instance.
@@ -89,7 +228,7 @@ impl Hits {
     #[inline(always)]
     pub(crate) fn set<const ANY: bool>(&mut self, ray: usize, hit: Hit) {
         self.best[ray % BUNDLE] = hit;
-        self.reach[ray % BUNDLE] = if ANY && hit.instance != u32::MAX { -1.0 } else { hit.t * HIT_SLACK };
+        self.reach.set(ray, if ANY && hit.instance != u32::MAX { -1.0 } else { hit.t * HIT_SLACK });
     }
 }
 
@@ -99,7 +238,14 @@ pub(crate) trait BundleLeaves {
     fn prefetch<V: Compiled>(&self, first: u32);
 
     /// Takes note of what the rays of a mask hit in a leaf.
-    fn visit<V: Compiled, const ANY: bool>(&mut self, first: u32, count: u32, mask: u64, rays: &Rays, hits: &mut Hits);
+    fn visit<V: Compiled, const ANY: bool, const SHARED: bool>(
+        &mut self,
+        first: u32,
+        count: u32,
+        mask: u64,
+        rays: &Rays,
+        hits: &mut Hits,
+    );
 
     /// Takes one ray on alone from a node.
     fn walk_alone<V: Compiled, const ANY: bool>(&mut self, start: u32, ray: usize, rays: &Rays, hits: &mut Hits);
@@ -129,7 +275,7 @@ impl<L: BundleLeaves, const ANY: bool, const SHARED: bool> Kernel for Walk<'_, L
                 BvhLink::Node(index) => {
                     let node = &nodes[index as usize];
                     let bottom = top;
-                    top = enter::<V, SHARED>(node, rays, mask, hits, depth, memory, top);
+                    top = enter::<V, SHARED>(Entering { node, rays, mask, hits, depth }, memory, top);
                     for waiting in &memory.waiting[bottom..top] {
                         match BvhLink::of_reference(waiting.reference) {
                             BvhLink::Node(index) => {
@@ -139,7 +285,7 @@ impl<L: BundleLeaves, const ANY: bool, const SHARED: bool> Kernel for Walk<'_, L
                         }
                     }
                 }
-                BvhLink::Leaf { first, count } => leaves.visit::<V, ANY>(first, count, mask, rays, hits),
+                BvhLink::Leaf { first, count } => leaves.visit::<V, ANY, SHARED>(first, count, mask, rays, hits),
             }
             loop {
                 if top == 0 {
@@ -147,7 +293,7 @@ impl<L: BundleLeaves, const ANY: bool, const SHARED: bool> Kernel for Walk<'_, L
                 }
                 top -= 1;
                 let next = memory.waiting[top];
-                mask = still_entered(&memory.distances[usize::from(next.depth)], &next, hits);
+                mask = still_entered::<V>(&memory.distances[usize::from(next.depth)], &next, hits);
                 if mask == 0 {
                     continue;
                 }
@@ -168,82 +314,170 @@ impl<L: BundleLeaves, const ANY: bool, const SHARED: bool> Kernel for Walk<'_, L
 
 /// Rays of a waiting child that have hit nothing before its box.
 #[inline(always)]
-fn still_entered(distances: &Distances, next: &Waiting, hits: &Hits) -> u64 {
-    let (mut rest, mut mask) = (next.mask, 0);
-    while rest != 0 {
-        let ray = rest.trailing_zeros() as usize % BUNDLE;
-        rest &= rest - 1;
-        let is_entered = distances.0[ray][usize::from(next.slot) % 8] <= hits.reach[ray];
-        mask |= u64::from(is_entered) << ray;
+fn still_entered<V: Lanes>(distances: &Distances, next: &Waiting, hits: &Hits) -> u64 {
+    let slot = usize::from(next.slot) % 8;
+    let mut entered = 0;
+    if next.is_by_ray {
+        let mut rest = next.mask;
+        while rest != 0 {
+            let ray = rest.trailing_zeros() as usize % BUNDLE;
+            rest &= rest - 1;
+            entered |= u64::from(distances.get(ray, slot) <= hits.reach.get(ray)) << ray;
+        }
+        return entered;
     }
-    mask
+    for group in 0..BUNDLE / GROUP {
+        let near = V::load(distances.0[slot].group(group));
+        let is_entered = near.le(V::load(hits.reach.group(group)));
+        entered |= u64::from(V::bits(is_entered)) << (group * GROUP);
+    }
+    entered & next.mask
+}
+
+/// Rays that come to a node.
+#[derive(Clone, Copy)]
+struct Entering<'a> {
+    node: &'a WideNode,
+    rays: &'a Rays,
+    mask: u64,
+    hits: &'a Hits,
+    depth: usize,
 }
 
 /// Tests the boxes of a node's children and puts those that are entered on the stack, the nearest on top. Returns the new
 /// top.
 #[inline(always)]
-fn enter<V: Lanes, const SHARED: bool>(
-    node: &WideNode,
-    rays: &Rays,
-    mask: u64,
-    hits: &Hits,
-    depth: usize,
-    memory: &mut Memory,
-    top: usize,
-) -> usize {
-    // Eight rows for six, so that no index needs a check.
-    let mut bounds = [[0.0; 8]; 8];
+fn enter<V: Lanes, const SHARED: bool>(entering: Entering, memory: &mut Memory, top: usize) -> usize {
+    let mut groups = 0;
+    for group in 0..BUNDLE / GROUP {
+        groups += u32::from(in_group(entering.mask, group) != 0);
+    }
+    if entering.mask.count_ones() >= WORTH_WHILE * groups {
+        enter_by_group::<V, SHARED>(entering, memory, top)
+    } else {
+        enter_by_ray::<V, SHARED>(entering, memory, top)
+    }
+}
+
+/// The part of a mask that is of a group.
+#[inline(always)]
+fn in_group(mask: u64, group: usize) -> u64 {
+    mask >> (group * GROUP) & (u64::MAX >> (BUNDLE - GROUP))
+}
+
+/// Puts a child on the stack, above the nearer ones of the same node.
+#[inline(always)]
+fn push(waiting: &mut [Waiting; MAX_STACK], child: Waiting, bottom: usize, top: usize) {
+    let mut at = top;
+    while at > bottom && waiting[at - 1].near < child.near {
+        waiting[at] = waiting[at - 1];
+        at -= 1;
+    }
+    waiting[at] = child;
+}
+
+/// One box against a group of rays at a time.
+#[inline(always)]
+fn enter_by_group<V: Lanes, const SHARED: bool>(entering: Entering, memory: &mut Memory, bottom: usize) -> usize {
+    let Entering { node, rays, mask, hits, depth } = entering;
+    let origin = row(&rays.origin, mask.trailing_zeros() as usize);
+    let infinite = V::splat(f32::INFINITY);
+    let mut top = bottom;
+    for slot in 0..8 {
+        let reference = node.children[slot];
+        if reference == u32::MAX {
+            break;
+        }
+        let mut planes = [infinite; 6];
+        for axis in 0..3 {
+            for row in [axis, axis + 3] {
+                let plane = node.bounds[row][slot];
+                planes[row] = V::splat(if SHARED { plane - origin[axis] } else { plane });
+            }
+        }
+        let distances = &mut memory.distances[depth].0[slot];
+        let (mut entered, mut nearest) = (0, infinite);
+        for group in 0..BUNDLE / GROUP {
+            if in_group(mask, group) == 0 {
+                continue;
+            }
+            let (mut near, mut far) = (V::splat(0.0), V::splat(FARTHEST));
+            for axis in 0..3 {
+                let inverse = V::load(rays.inverse[axis].group(group));
+                let (mut low, mut high) = (planes[axis], planes[axis + 3]);
+                if !SHARED {
+                    let origin = V::load(rays.origin[axis].group(group));
+                    (low, high) = (low.sub(origin), high.sub(origin));
+                }
+                // The nearer plane is the one that the direction's sign tells, since roundings are monotonic.
+                let (low, high) = (low.mul(inverse), high.mul(inverse));
+                near = low.min(high).max(near);
+                far = low.max(high).min(far);
+            }
+            let reach = V::load(hits.reach.group(group));
+            let is_entered = near.le(far.mul(V::splat(WIDEN)).min(reach));
+            near.store(distances.group_mut(group));
+            entered |= u64::from(V::bits(is_entered)) << (group * GROUP);
+            nearest = V::select(is_entered, near, infinite).min(nearest);
+        }
+        entered &= mask;
+        if entered != 0 {
+            let near = nearest.least();
+            let child =
+                Waiting { mask: entered, reference, slot: slot as u8, is_by_ray: false, depth: depth as u8, near };
+            push(&mut memory.waiting, child, bottom, top);
+            top += 1;
+        }
+    }
+    top
+}
+
+/// One ray against all boxes at a time.
+#[inline(always)]
+fn enter_by_ray<V: Lanes, const SHARED: bool>(entering: Entering, memory: &mut Memory, bottom: usize) -> usize {
+    let Entering { node, rays, mask, hits, depth } = entering;
+    let mut planes = [V::splat(0.0); 6];
     let first = mask.trailing_zeros() as usize % BUNDLE;
     for axis in 0..3 {
         for row in [axis, axis + 3] {
             let plane = V::load(&node.bounds[row]);
-            let plane = if SHARED { plane.sub(V::splat(rays[first].origin[axis])) } else { plane };
-            plane.store(&mut bounds[row]);
+            planes[row] = if SHARED { plane.sub(V::splat(rays.origin[axis].get(first))) } else { plane };
         }
     }
-    let distances = &mut memory.distances[depth];
     let mut entered = [0u8; BUNDLE];
     let mut nearest = V::splat(f32::INFINITY);
     let mut rest = mask;
     while rest != 0 {
-        let index = rest.trailing_zeros() as usize % BUNDLE;
+        let ray = rest.trailing_zeros() as usize % BUNDLE;
         rest &= rest - 1;
-        let ray = &rays[index];
         let mut near = V::splat(0.0);
-        let mut far = V::splat(f32::INFINITY);
+        let mut far = V::splat(FARTHEST);
         for axis in 0..3 {
-            let inverse = V::splat(ray.inverse[axis]);
-            let mut near_plane = V::load(&bounds[usize::from(ray.near[axis]) % 8]);
-            let mut far_plane = V::load(&bounds[ray.far(axis) % 8]);
+            let inverse = V::splat(rays.inverse[axis].get(ray));
+            let (mut low, mut high) = (planes[axis], planes[axis + 3]);
             if !SHARED {
-                let origin = V::splat(ray.origin[axis]);
-                (near_plane, far_plane) = (near_plane.sub(origin), far_plane.sub(origin));
+                let origin = V::splat(rays.origin[axis].get(ray));
+                (low, high) = (low.sub(origin), high.sub(origin));
             }
-            near = near_plane.mul(inverse).max(near);
-            far = far_plane.mul(inverse).min(far);
+            let (low, high) = (low.mul(inverse), high.mul(inverse));
+            near = low.min(high).max(near);
+            far = low.max(high).min(far);
         }
-        let is_entered = near.le(far.mul(V::splat(WIDEN)).min(V::splat(hits.reach[index])));
-        near.store(&mut distances.0[index]);
-        entered[index] = V::bits(is_entered) as u8;
+        let is_entered = near.le(far.mul(V::splat(WIDEN)).min(V::splat(hits.reach.get(ray))));
+        near.store(memory.distances[depth].of_ray(ray));
+        entered[ray] = V::bits(is_entered) as u8;
         nearest = V::select(is_entered, near, V::splat(f32::INFINITY)).min(nearest);
     }
     let mut near = [0.0; 8];
     nearest.store(&mut near);
-    let bottom = top;
-    let mut top = top;
+    let mut top = bottom;
     for (slot, (&near, &reference)) in near.iter().zip(&node.children).enumerate() {
         let mask = V::column(&entered, slot as u32);
-        if mask == 0 {
-            continue;
+        if mask != 0 {
+            let child = Waiting { mask, reference, slot: slot as u8, is_by_ray: true, depth: depth as u8, near };
+            push(&mut memory.waiting, child, bottom, top);
+            top += 1;
         }
-        let waiting = Waiting { mask, reference, slot: slot as u8, depth: depth as u8, near };
-        let mut at = top;
-        while at > bottom && memory.waiting[at - 1].near < waiting.near {
-            memory.waiting[at] = memory.waiting[at - 1];
-            at -= 1;
-        }
-        memory.waiting[at] = waiting;
-        top += 1;
     }
     top
 }

@@ -17,6 +17,7 @@ pub(crate) trait Lanes: Copy {
     fn splat(x: f32) -> Self;
     fn load(row: &[f32; 8]) -> Self;
     fn store(self, row: &mut [f32; 8]);
+    fn add(self, other: Self) -> Self;
     fn sub(self, other: Self) -> Self;
     fn mul(self, other: Self) -> Self;
     fn min(self, other: Self) -> Self;
@@ -26,6 +27,8 @@ pub(crate) trait Lanes: Copy {
     fn bits(mask: Self::Mask) -> u32;
     /// `a` where the mask is set, else `b`.
     fn select(mask: Self::Mask, a: Self, b: Self) -> Self;
+    /// The least of the lanes, none of which is NaN.
+    fn least(self) -> f32;
     /// Bit `slot` of each of 64 bytes: byte i in bit i.
     fn column(bytes: &[u8; 64], slot: u32) -> u64;
     /// Asks for what will be read soon, in lines of 64 bytes from the first of these on.
@@ -82,6 +85,7 @@ impl Lanes for Portable {
         *row = self.0;
     }
 
+    lanewise!(add, |a, b| a + b);
     lanewise!(sub, |a, b| a - b);
     lanewise!(mul, |a, b| a * b);
     lanewise!(min, |a, b| if a < b { a } else { b });
@@ -104,6 +108,15 @@ impl Lanes for Portable {
             out[lane] = if mask[lane] != 0 { a.0[lane] } else { b.0[lane] };
         }
         Self(out)
+    }
+
+    #[inline(always)]
+    fn least(self) -> f32 {
+        let mut least = f32::INFINITY;
+        for x in self.0 {
+            least = if x < least { x } else { least };
+        }
+        least
     }
 
     #[inline(always)]
@@ -140,7 +153,7 @@ mod tests {
         fn run<V: Compiled>(self) {
             let Self { a, b, bytes, results } = self;
             let (x, y) = (V::load(&a), V::load(&b));
-            for value in [x.sub(y), x.mul(y), x.min(y), x.max(y), V::splat(a[3])] {
+            for value in [x.add(y), x.sub(y), x.mul(y), x.min(y), x.max(y), V::splat(a[3])] {
                 let mut row = [0.0; 8];
                 value.store(&mut row);
                 results.push(row.map(|r| if r.is_nan() { 0 } else { r.to_bits() }));

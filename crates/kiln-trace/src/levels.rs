@@ -2,38 +2,40 @@
 
 use crate::{
     Hit, Scene,
-    alone::{self, Leaves, MeshLeaves, Stack, Waiting},
+    alone::{self, Leaves, MeshLeaves, Stack, precedes},
     bundle::{self, BUNDLE, BundleLeaves, Hits, Memory, Rays},
-    node::{MAX_STACK, WideNode},
+    node::{MAX_LEAF, WideNode},
     path::{Compiled, Kernel},
     ray::TracedRay,
+    triangle::{SeenTriangle, entry},
 };
 use glam::Vec3;
 
 /// What a thread traces bundles with. It is large; what it holds before does not matter.
 pub(crate) struct Workspace {
-    pub(crate) origins: [Vec3; BUNDLE],
-    pub(crate) directions: [Vec3; BUNDLE],
+    /// In world space.
+    pub(crate) rays: Rays,
     pub(crate) hits: Hits,
-    world: Rays,
     object: Rays,
     scene_memory: Memory,
-    mesh_memory: Memory,
+    mesh: MeshMemory,
+}
+
+/// What the way of a bundle through a mesh needs.
+struct MeshMemory {
+    memory: Memory,
     stack: Stack,
+    seen: [SeenTriangle; MAX_LEAF],
 }
 
 impl Workspace {
     pub(crate) fn new() -> Box<Self> {
-        let ray = TracedRay::default();
         Box::new(Self {
-            origins: [Vec3::ZERO; BUNDLE],
-            directions: [Vec3::ZERO; BUNDLE],
+            rays: Rays::NEW,
             hits: Hits::NEW,
-            world: [ray; BUNDLE],
-            object: [ray; BUNDLE],
+            object: Rays::NEW,
             scene_memory: Memory::NEW,
-            mesh_memory: Memory::NEW,
-            stack: [Waiting::default(); 2 * MAX_STACK],
+            mesh: MeshMemory { memory: Memory::NEW, stack: Stack::NEW, seen: [SeenTriangle::default(); MAX_LEAF] },
         })
     }
 }
@@ -49,58 +51,56 @@ impl<const ANY: bool, const SHARED: bool> Kernel for TraceBundle<'_, ANY, SHARED
     #[inline(always)]
     fn run<V: Compiled>(self) {
         let Self { scene, count, workspace } = self;
-        let Workspace { origins, directions, hits, world, object, scene_memory, mesh_memory, stack } = workspace;
-        for ray in 0..count.min(BUNDLE) {
-            world[ray] = TracedRay::new(origins[ray], directions[ray]);
-        }
+        let Workspace { rays, hits, object, scene_memory, mesh } = workspace;
+        rays.finish();
+        hits.end(count);
         let mask = u64::MAX >> (BUNDLE - count.clamp(1, BUNDLE));
-        let leaves = &mut SceneBundle::<SHARED> { scene, origins, directions, object, mesh_memory, stack };
+        let leaves = &mut SceneBundle { scene, object, memory: mesh };
         let walk: bundle::Walk<'_, _, ANY, SHARED> =
-            bundle::Walk { nodes: &scene.nodes, leaves, rays: world, mask, hits, memory: scene_memory };
+            bundle::Walk { nodes: &scene.nodes, leaves, rays, mask, hits, memory: scene_memory };
         walk.run::<V>();
     }
 }
 
 /// The instances of a scene, for a bundle of rays.
-struct SceneBundle<'a, const SHARED: bool> {
+struct SceneBundle<'a> {
     scene: &'a Scene,
-    origins: &'a [Vec3; BUNDLE],
-    directions: &'a [Vec3; BUNDLE],
     object: &'a mut Rays,
-    mesh_memory: &'a mut Memory,
-    stack: &'a mut Stack,
+    memory: &'a mut MeshMemory,
 }
 
-impl<const SHARED: bool> BundleLeaves for SceneBundle<'_, SHARED> {
+impl BundleLeaves for SceneBundle<'_> {
     #[inline(always)]
     fn prefetch<V: Compiled>(&self, _: u32) {}
 
     #[inline(always)]
-    fn visit<V: Compiled, const ANY: bool>(&mut self, first: u32, _: u32, mask: u64, rays: &Rays, hits: &mut Hits) {
+    fn visit<V: Compiled, const ANY: bool, const SHARED: bool>(
+        &mut self,
+        first: u32,
+        _: u32,
+        mask: u64,
+        rays: &Rays,
+        hits: &mut Hits,
+    ) {
         let instance = &self.scene.instances[first as usize];
         let mesh = MeshLeaves { mesh: &self.scene.meshes[instance.mesh as usize], instance: first };
         let rays = if instance.is_identity {
             rays
         } else {
-            let mut rest = mask;
-            while rest != 0 {
-                let ray = rest.trailing_zeros() as usize % BUNDLE;
-                rest &= rest - 1;
-                self.object[ray] = instance.ray(self.origins[ray], self.directions[ray]);
-            }
+            self.object.put_seen_from(instance, rays, mask);
             &*self.object
         };
-        let leaves = &mut MeshBundle { mesh, stack: self.stack };
-        let (nodes, memory) = (mesh.mesh.nodes.as_slice(), &mut *self.mesh_memory);
+        let MeshMemory { memory, stack, seen } = &mut *self.memory;
+        let leaves = &mut MeshBundle { mesh, stack, seen };
+        let nodes = mesh.mesh.nodes.as_slice();
         let walk: bundle::Walk<'_, _, ANY, SHARED> = bundle::Walk { nodes, leaves, rays, mask, hits, memory };
         V::compiled(walk);
     }
 
     #[inline(always)]
     fn walk_alone<V: Compiled, const ANY: bool>(&mut self, start: u32, ray: usize, rays: &Rays, hits: &mut Hits) {
-        let (origin, direction) = (self.origins[ray % BUNDLE], self.directions[ray % BUNDLE]);
-        let leaves = &SceneAlone { scene: self.scene, origin, direction };
-        go_alone::<V, _, ANY>(&self.scene.nodes, leaves, start, ray, rays, hits, self.stack);
+        let leaves = &SceneAlone { scene: self.scene };
+        go_alone::<V, _, ANY>(&self.scene.nodes, leaves, start, ray, rays, hits, &mut self.memory.stack);
     }
 }
 
@@ -116,8 +116,8 @@ fn go_alone<V: Compiled, L: Leaves, const ANY: bool>(
     stack: &mut Stack,
 ) {
     let mut best = hits.get(ray);
-    let ray_here = &rays[ray % BUNDLE];
-    V::compiled(alone::Walk::<_, ANY> { nodes, leaves, start, ray: ray_here, best: &mut best, stack });
+    let ray_alone = &rays.alone(ray);
+    V::compiled(alone::Walk::<_, ANY> { nodes, leaves, start, ray: ray_alone, best: &mut best, stack, bottom: 0 });
     hits.set::<ANY>(ray, best);
 }
 
@@ -125,6 +125,7 @@ fn go_alone<V: Compiled, L: Leaves, const ANY: bool>(
 struct MeshBundle<'a> {
     mesh: MeshLeaves<'a>,
     stack: &'a mut Stack,
+    seen: &'a mut [SeenTriangle; MAX_LEAF],
 }
 
 impl BundleLeaves for MeshBundle<'_> {
@@ -134,13 +135,54 @@ impl BundleLeaves for MeshBundle<'_> {
     }
 
     #[inline(always)]
-    fn visit<V: Compiled, const ANY: bool>(&mut self, first: u32, count: u32, mask: u64, rays: &Rays, hits: &mut Hits) {
+    fn visit<V: Compiled, const ANY: bool, const SHARED: bool>(
+        &mut self,
+        first: u32,
+        count: u32,
+        mask: u64,
+        rays: &Rays,
+        hits: &mut Hits,
+    ) {
+        let leaf = self.mesh.mesh.triangles.leaf(first, count);
         let mut rest = mask;
+        let mut origin = rays.origin(rest.trailing_zeros() as usize);
+        let mut edges = leaf.edges::<V>(origin.to_array());
+        // Lanes whose triangle is known as it is seen from the origin.
+        let mut known = 0;
         while rest != 0 {
             let ray = rest.trailing_zeros() as usize % BUNDLE;
             rest &= rest - 1;
+            if !SHARED && rays.origin(ray) != origin {
+                origin = rays.origin(ray);
+                edges = leaf.edges::<V>(origin.to_array());
+                known = 0;
+            }
+            let direction = rays.direction(ray).to_array();
+            let (mut lanes, margins) = edges.crossed(direction);
+            if lanes == 0 {
+                continue;
+            }
             let mut best = hits.get(ray);
-            if self.mesh.test::<V>(first, count, &rays[ray], &mut best) {
+            let mut is_better = false;
+            while lanes != 0 {
+                let lane = lanes.trailing_zeros() as usize % MAX_LEAF;
+                lanes &= lanes - 1;
+                let seen = &mut self.seen[lane];
+                if known >> lane & 1 == 0 {
+                    known |= 1 << lane;
+                    *seen = leaf.seen(lane, origin.to_array());
+                }
+                let entry = || entry(leaf.corners(lane), origin.to_array(), rays.inverse(ray));
+                let Some(met) = seen.meet(direction, margins[lane], best.t, entry) else {
+                    continue;
+                };
+                let hit = self.mesh.hit(seen.primitive, met);
+                if precedes(&hit, &best) {
+                    best = hit;
+                    is_better = true;
+                }
+            }
+            if is_better {
                 hits.set::<ANY>(ray, best);
             }
         }
@@ -155,8 +197,6 @@ impl BundleLeaves for MeshBundle<'_> {
 /// The instances of a scene, for one ray.
 struct SceneAlone<'a> {
     scene: &'a Scene,
-    origin: Vec3,
-    direction: Vec3,
 }
 
 impl Leaves for SceneAlone<'_> {
@@ -167,12 +207,18 @@ impl Leaves for SceneAlone<'_> {
         _: u32,
         ray: &TracedRay,
         best: &mut Hit,
-        stack: &mut [Waiting],
+        stack: &mut Stack,
+        top: usize,
     ) {
         let instance = &self.scene.instances[first as usize];
         let mesh = MeshLeaves { mesh: &self.scene.meshes[instance.mesh as usize], instance: first };
-        let ray = if instance.is_identity { *ray } else { instance.ray(self.origin, self.direction) };
+        let ray = if instance.is_identity {
+            *ray
+        } else {
+            let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
+            TracedRay::new(instance.point(origin), instance.direction(direction))
+        };
         let nodes = mesh.mesh.nodes.as_slice();
-        V::compiled(alone::Walk::<_, ANY> { nodes, leaves: &mesh, start: 0, ray: &ray, best, stack });
+        V::compiled(alone::Walk::<_, ANY> { nodes, leaves: &mesh, start: 0, ray: &ray, best, stack, bottom: top });
     }
 }

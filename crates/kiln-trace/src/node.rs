@@ -23,8 +23,8 @@ pub(crate) const MAX_STACK: usize = 7 * MAX_DEPTH + 8;
 #[repr(C, align(32))]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 pub(crate) struct WideNode {
-    /// Least x, y, z, then greatest x, y, z of the eight children. Those of unused slots are inverted and infinite, so that
-    /// no ray enters them.
+    /// Least x, y, z, then greatest x, y, z of the eight children. Those of unused slots are infinite, so that no ray enters
+    /// them: on each axis it comes to both planes beyond [`crate::ray::FARTHEST`], or has left them behind.
     pub(crate) bounds: [[f32; 8]; 6],
     /// References; unused slots have `u32::MAX`.
     pub(crate) children: [u32; 8],
@@ -79,10 +79,7 @@ impl BvhLink {
 
 impl WideNode {
     /// A node without children.
-    pub(crate) const EMPTY: Self = {
-        let (low, high) = ([f32::INFINITY; 8], [f32::NEG_INFINITY; 8]);
-        Self { bounds: [low, low, low, high, high, high], children: [u32::MAX; 8] }
-    };
+    pub(crate) const EMPTY: Self = Self { bounds: [[f32::INFINITY; 8]; 6], children: [u32::MAX; 8] };
 
     /// A node with up to eight children.
     pub(crate) fn new(children: &[BvhChild]) -> Self {

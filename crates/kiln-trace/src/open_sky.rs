@@ -23,7 +23,7 @@ pub fn is_open_above(scene: &Scene, origin: Vec3, normal: Vec3, reach: f32) -> b
         let inner = HalfSpace { normal, offset, near: None };
         any_above(&mesh.nodes, &inner, |first, count| {
             (0..count).any(|lane| {
-                let corners = mesh.triangles.corners(first, count, lane);
+                let corners = mesh.triangles.leaf(first, count).corners(lane as usize);
                 corners.iter().any(|corner| inner.normal.dot(*corner) > inner.offset)
             })
         })

@@ -4,7 +4,6 @@ use crate::{
     BvhChild, MeshBvh,
     build::build,
     node::{BvhLink, WideNode},
-    ray::TracedRay,
 };
 use glam::{DAffine3, DVec3, Mat3, Vec3, Vec3A};
 use obvhs::aabb::Aabb;
@@ -36,12 +35,6 @@ pub struct SceneInstance {
 }
 
 impl SceneInstance {
-    /// A world-space ray in object space.
-    #[inline(always)]
-    pub(crate) fn ray(&self, origin: Vec3, direction: Vec3) -> TracedRay {
-        TracedRay::new(self.point(origin), self.direction(direction))
-    }
-
     /// A world-space point in object space.
     #[inline(always)]
     pub(crate) fn point(&self, p: Vec3) -> Vec3 {

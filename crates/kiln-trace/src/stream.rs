@@ -53,8 +53,7 @@ impl<A: Answer> Kernel for Trace<'_, A> {
             V::prefetch(next);
             let mut is_shared = true;
             for (index, ray) in rays.iter().enumerate() {
-                workspace.origins[index] = ray.origin;
-                workspace.directions[index] = ray.direction;
+                workspace.rays.put(index, ray.origin, ray.direction);
                 workspace.hits.start(index, ray.t_max);
                 is_shared &= ray.origin == rays[0].origin;
             }
@@ -149,8 +148,7 @@ impl Bundle {
     fn push(&mut self, sample: usize, origin: Vec3, direction: Vec3, t_max: f32, workspace: &mut Workspace) {
         let index = self.count;
         self.owners[index] = sample as u32;
-        workspace.origins[index] = origin;
-        workspace.directions[index] = direction;
+        workspace.rays.put(index, origin, direction);
         workspace.hits.start(index, t_max);
         self.count = index + 1;
     }

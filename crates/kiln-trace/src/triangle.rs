@@ -1,11 +1,14 @@
-//! Watertight intersection of a ray with up to eight triangles at once.
+//! Watertight intersection of rays with up to eight triangles at once.
 //!
-//! Source: Woop, Benthin and Wald 2013, "Watertight ray/triangle intersection". The edge functions of a shared edge
-//! are exact negatives of each other (no fused multiply-add is used), so that no ray slips through; a ray on an edge
-//! (a function of exactly 0) hits both faces, so that their double-precision fall-back is not needed. The same
-//! arithmetic in the same order is in `triangle.wgsl` of `kiln-gpu`: keep them in sync.
+//! Whether the line of a ray goes through a triangle is said by three edge functions, d · ((p + q) × (p − q)) for each edge from p
+//! to q, its ends relative to the ray's origin (Jones 2000, "Intersecting a ray and a triangle with Plücker coordinates"; the
+//! same as 2 d · (q × p), but with errors that grow with the edge, not with the square of its distance). Those of a shared edge are
+//! exact negatives of each other (no fused multiply-add is used), so that no ray slips through; a ray on an edge (a function of
+//! exactly 0) hits both faces. The products of p and q are common to all rays of one origin: a bundle computes them once
+//! for a leaf, and then each ray costs three scalar products, which is why this form was taken, not a shear for each ray
+//! (Woop, Benthin and Wald 2013), which `triangle.wgsl` of `kiln-gpu` has.
 //!
-//! Deviation: distances do not come from the edge functions, whose errors grow with the triangle, not with the distance,
+//! Distances do not come from the edge functions, whose errors grow with the triangle, not with the distance,
 //! but from the triangle's plane in f64, rounded to 18 bits (an error of at most 4e-6 of them) so that coincident faces tie. Where
 //! rounding may have decided that the ray goes through the triangle, it must also enter the triangle's own box, and the
 //! distance is no nearer than that, by the arithmetic that all boxes are tested with. Roundings are monotonic, so a box around
@@ -13,12 +16,8 @@
 //! all boxes around it, no later but for rounding, which `HIT_SLACK` covers. So whatever the tree, what it finds is what
 //! testing every triangle finds, to the bit.
 
-use crate::{
-    lanes::Lanes,
-    node::MAX_LEAF,
-    ray::{TracedRay, WIDEN},
-};
-use glam::Vec3;
+use crate::{lanes::Lanes, node::MAX_LEAF, ray::WIDEN};
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 /// Set in a primitive id whose face counts as front from either side.
@@ -39,8 +38,11 @@ const WORDS: usize = 10;
 /// Triangles that one task of the thread pool writes, about.
 const TRIANGLES_PER_TASK: usize = 1 << 13;
 
-/// Words after the last triangle, so that eight lanes can be read of any row.
-const SLACK: usize = 8;
+/// Words from the first of a leaf on that are read as one piece: what the rows of eight triangles need, and eight lanes more.
+const LEAF_WORDS: usize = (WORDS + 1) * MAX_LEAF;
+
+/// Words after the last triangle, so that there are [`LEAF_WORDS`] from the first of any leaf on.
+const SLACK: usize = LEAF_WORDS - WORDS;
 
 /// The triangles of a mesh in the order of its tree's leaves.
 ///
@@ -119,20 +121,8 @@ impl TriangleRuns {
     pub(crate) fn triangle(&self, index: u32) -> ([Vec3; 3], u32) {
         let (first, count) = self.leaf_of(index);
         let lane = index - first;
-        (self.corners(first, count, lane), self.id(first, count, lane))
-    }
-
-    /// Corners of a lane of a leaf.
-    #[inline(always)]
-    pub(crate) fn corners(&self, first: u32, count: u32, lane: u32) -> [Vec3; 3] {
-        let mut at = WORDS * first as usize + lane as usize;
-        let mut word = || {
-            let word = self.words[at];
-            at += count as usize;
-            word
-        };
-        let mut corner = || Vec3::new(word(), word(), word());
-        [corner(), corner(), corner()]
+        let leaf = self.leaf(first, count);
+        (leaf.corners(lane as usize), leaf.id(lane as usize))
     }
 
     /// Asks for the first lines of a leaf.
@@ -145,33 +135,106 @@ impl TriangleRuns {
     /// Id of a lane of a leaf.
     #[inline(always)]
     pub(crate) fn id(&self, first: u32, count: u32, lane: u32) -> u32 {
-        self.words[WORDS * first as usize + 9 * count as usize + lane as usize].to_bits()
+        self.leaf(first, count).id(lane as usize)
+    }
+
+    /// A leaf.
+    #[inline(always)]
+    pub(crate) fn leaf(&self, first: u32, count: u32) -> Leaf<'_> {
+        let words = self.words[WORDS * first as usize..].first_chunk().expect("there is slack after the last leaf");
+        Leaf { words, count: (count as usize - 1) % MAX_LEAF + 1 }
     }
 
     /// Size in memory, bytes.
     pub(crate) fn memory_bytes(&self) -> usize {
         size_of_val(self.words.as_slice()) + size_of_val(self.begins.as_slice())
     }
+}
 
-    /// Eight words from `at` on.
+/// The triangles of a leaf.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Leaf<'a> {
+    words: &'a [f32; LEAF_WORDS],
+    /// 1 to 8.
+    count: usize,
+}
+
+impl Leaf<'_> {
+    /// Eight words of a row.
     #[inline(always)]
-    fn row(&self, at: usize) -> &[f32; 8] {
-        self.words[at..].first_chunk().expect("eight words follow every row")
+    fn row(&self, row: usize) -> &[f32; 8] {
+        self.words[row * self.count..].first_chunk().expect("eight words follow every row")
     }
 
-    /// Lanes of a leaf whose triangles the line of a ray goes through; and how far inside of their edges, as the least of the
-    /// edge functions.
+    /// A word of a row.
     #[inline(always)]
-    pub(crate) fn crossed<V: Lanes>(&self, first: u32, count: u32, ray: &TracedRay) -> (u32, [f32; 8]) {
-        let n = count as usize;
-        debug_assert!(n <= MAX_LEAF);
-        let rows = WORDS * first as usize;
-        let a = self.across::<V>(rows, n, ray);
-        let b = self.across::<V>(rows + 3 * n, n, ray);
-        let c = self.across::<V>(rows + 6 * n, n, ray);
-        let u = edge(c, b);
-        let v = edge(a, c);
-        let w = edge(b, a);
+    fn word(&self, row: usize, lane: usize) -> f32 {
+        self.words[row * self.count + lane % MAX_LEAF]
+    }
+
+    /// Corners of a triangle.
+    #[inline(always)]
+    pub(crate) fn corners(&self, lane: usize) -> [Vec3; 3] {
+        let corner = |row: usize| Vec3::new(self.word(row, lane), self.word(row + 1, lane), self.word(row + 2, lane));
+        [corner(0), corner(3), corner(6)]
+    }
+
+    /// Id of a triangle.
+    #[inline(always)]
+    pub(crate) fn id(&self, lane: usize) -> u32 {
+        self.word(9, lane).to_bits()
+    }
+
+    /// The edges of the triangles as rays from an origin see them.
+    #[inline(always)]
+    pub(crate) fn edges<V: Lanes>(&self, origin: [f32; 3]) -> Edges<V> {
+        let (a, b, c) = (self.relative::<V>(0, origin), self.relative::<V>(3, origin), self.relative::<V>(6, origin));
+        Edges { normals: [beside(b, c), beside(c, a), beside(a, b)], used: (1 << self.count) - 1 }
+    }
+
+    /// Corners relative to an origin, from a row on.
+    #[inline(always)]
+    fn relative<V: Lanes>(&self, row: usize, origin: [f32; 3]) -> [V; 3] {
+        let x = V::load(self.row(row)).sub(V::splat(origin[0]));
+        let y = V::load(self.row(row + 1)).sub(V::splat(origin[1]));
+        let z = V::load(self.row(row + 2)).sub(V::splat(origin[2]));
+        [x, y, z]
+    }
+
+    /// A triangle as rays from an origin see it.
+    #[inline(always)]
+    pub(crate) fn seen(&self, lane: usize, origin: [f32; 3]) -> SeenTriangle {
+        let [a, b, c] = self.corners(lane).map(Vec3::as_dvec3);
+        let (ab, ac, from_origin) = (b - a, c - a, a - Vec3::from_array(origin).as_dvec3());
+        let normal = ab.cross(ac);
+        // More than any coordinate of a corner relative to the origin.
+        let extent = (from_origin.abs() + ab.abs() + ac.abs()).element_sum();
+        SeenTriangle {
+            normal,
+            height: normal.dot(from_origin),
+            error: EDGE_ERROR * extent * extent,
+            primitive: self.id(lane),
+        }
+    }
+}
+
+/// For each edge of up to eight triangles the vector that tells on which side of it a ray from some origin passes.
+#[derive(Clone, Copy)]
+pub(crate) struct Edges<V> {
+    normals: [[V; 3]; 3],
+    /// Lanes that have triangles.
+    used: u32,
+}
+
+impl<V: Lanes> Edges<V> {
+    /// Lanes whose triangles the line of a ray goes through; and how far inside of their edges, as the least of the edge functions.
+    #[inline(always)]
+    pub(crate) fn crossed(&self, direction: [f32; 3]) -> (u32, [f32; 8]) {
+        let [x, y, z] = [V::splat(direction[0]), V::splat(direction[1]), V::splat(direction[2])];
+        let [p, q, r] = &self.normals;
+        let u = p[0].mul(x).add(p[1].mul(y)).add(p[2].mul(z));
+        let v = q[0].mul(x).add(q[1].mul(y)).add(q[2].mul(z));
+        let w = r[0].mul(x).add(r[1].mul(y)).add(r[2].mul(z));
         let zero = V::splat(0.0);
         let least = u.min(v).min(w);
         let greatest = u.max(v).max(w);
@@ -179,50 +242,63 @@ impl TriangleRuns {
         let margin = least.max(zero.sub(greatest));
         let mut margins = [0.0; 8];
         margin.store(&mut margins);
-        (V::bits(zero.le(margin)) & ((1 << n) - 1), margins)
+        (V::bits(zero.le(margin)) & self.used, margins)
     }
+}
 
-    /// Coordinates of corners across the ray.
+/// A triangle as rays from one origin see it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct SeenTriangle {
+    /// Across its plane; as long as twice its area.
+    normal: DVec3,
+    /// The plane's distance from the origin along the normal, times its length.
+    height: f64,
+    /// Bound on the error of its edge functions, for directions whose coordinates sum up to 1.
+    error: f64,
+    /// Its id.
+    pub(crate) primitive: u32,
+}
+
+impl SeenTriangle {
+    /// Where a ray meets the plane, if its line goes through the triangle by a margin: distance, and whether the corners are
+    /// seen counter-clockwise. Nothing behind the ray, beyond `t_max`, or in the plane. `entry` tells where the ray enters the
+    /// triangle's own box.
     #[inline(always)]
-    fn across<V: Lanes>(&self, rows: usize, n: usize, ray: &TracedRay) -> [V; 2] {
-        let [kx, ky, kz] = ray.axes;
-        let x = V::load(self.row(rows + kx as usize * n)).sub(V::splat(ray.turned_origin[0]));
-        let y = V::load(self.row(rows + ky as usize * n)).sub(V::splat(ray.turned_origin[1]));
-        let z = V::load(self.row(rows + kz as usize * n)).sub(V::splat(ray.turned_origin[2]));
-        [x.sub(z.mul(V::splat(ray.shear[0]))), y.sub(z.mul(V::splat(ray.shear[1])))]
+    pub(crate) fn meet(
+        &self,
+        direction: [f32; 3],
+        margin: f32,
+        t_max: f32,
+        entry: impl FnOnce() -> Option<f32>,
+    ) -> Option<(f32, bool)> {
+        let direction = Vec3::from_array(direction).as_dvec3();
+        let slope = self.normal.dot(direction);
+        // Behind, most of all the surface that the ray starts on.
+        if (self.height > 0.0) != (slope > 0.0) {
+            return None;
+        }
+        // Where the slope is 0 this is no number, or infinite.
+        let mut t = (self.height / slope) as f32;
+        if !(t > 0.0 && t < f32::INFINITY) {
+            return None;
+        }
+        if f64::from(margin) <= self.error * direction.abs().element_sum() {
+            t = t.max(entry()?);
+        }
+        let t = coarse(t);
+        (t <= t_max).then_some((t, slope < 0.0))
     }
 }
 
-/// Where a ray meets the plane of a triangle that its line goes through, by a margin: distance, and whether the corners are
-/// seen counter-clockwise. Nothing behind the ray, beyond `t_max`, or in the plane.
-#[inline(always)]
-pub(crate) fn meet(corners: [Vec3; 3], ray: &TracedRay, margin: f32, t_max: f32) -> Option<(f32, bool)> {
-    let [a, b, c] = corners.map(Vec3::as_dvec3);
-    let (ab, ac, from_origin) = (b - a, c - a, a - Vec3::from_array(ray.origin).as_dvec3());
-    let normal = ab.cross(ac);
-    let slope = normal.dot(Vec3::from_array(ray.direction).as_dvec3());
-    // Where the slope is 0 this is no number, or infinite.
-    let mut t = (normal.dot(from_origin) / slope) as f32;
-    if !(t > 0.0 && t < f32::INFINITY) {
-        return None;
-    }
-    // More than any coordinate of a corner relative to the origin.
-    let extent = (from_origin.abs() + ab.abs() + ac.abs()).element_sum();
-    if f64::from(margin) <= EDGE_ERROR * extent * extent {
-        t = t.max(entry(corners, ray)?);
-    }
-    let t = coarse(t);
-    (t <= t_max).then_some((t, slope < 0.0))
-}
-
-/// Bound on the error of an edge function, for corners whose coordinates relative to the ray's origin are at most 1. In units of
-/// 2⁻²⁴: each of its four factors, at most 2, has an error of 6, products and difference add 16.
-const EDGE_ERROR: f64 = 64.0 / 16_777_216.0;
+/// Bound on the error of an edge function, for corners whose coordinates relative to the ray's origin are at most 1 and a
+/// direction whose coordinates sum up to 1. In units of 2⁻²⁴: sums and differences of corners have errors of 4, so each of their
+/// products, at most 4, has one of 20; the difference of two adds 8, the product with the direction 8, the two sums 16.
+const EDGE_ERROR: f64 = 80.0 / 16_777_216.0;
 
 /// Where a ray enters the box of a triangle, by the arithmetic of all boxes; nothing if it does not.
 #[inline(never)]
-fn entry([a, b, c]: [Vec3; 3], ray: &TracedRay) -> Option<f32> {
-    let (origin, inverse) = (Vec3::from_array(ray.origin), Vec3::from_array(ray.inverse));
+pub(crate) fn entry([a, b, c]: [Vec3; 3], origin: [f32; 3], inverse: [f32; 3]) -> Option<f32> {
+    let (origin, inverse) = (Vec3::from_array(origin), Vec3::from_array(inverse));
     let [low, high] = [a.min(b).min(c), a.max(b).max(c)].map(|plane| (plane - origin) * inverse);
     // The nearer of both is the one that the direction's sign tells, since roundings are monotonic.
     let near = low.min(high).max_element().max(0.0);
@@ -237,15 +313,22 @@ fn coarse(t: f32) -> f32 {
     f32::from_bits((t.to_bits() + 32) & !63)
 }
 
+/// (p + q) × (p − q), which is 2 q × p.
 #[inline(always)]
-fn edge<V: Lanes>(p: [V; 2], q: [V; 2]) -> V {
-    p[0].mul(q[1]).sub(p[1].mul(q[0]))
+fn beside<V: Lanes>(p: [V; 3], q: [V; 3]) -> [V; 3] {
+    let sum = [p[0].add(q[0]), p[1].add(q[1]), p[2].add(q[2])];
+    let edge = [p[0].sub(q[0]), p[1].sub(q[1]), p[2].sub(q[2])];
+    [
+        sum[1].mul(edge[2]).sub(sum[2].mul(edge[1])),
+        sum[2].mul(edge[0]).sub(sum[0].mul(edge[2])),
+        sum[0].mul(edge[1]).sub(sum[1].mul(edge[0])),
+    ]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lanes::Portable;
+    use crate::{lanes::Portable, ray::TracedRay};
     use proptest::prelude::*;
 
     fn one(corners: [Vec3; 3], origin: Vec3, direction: Vec3) -> Option<(f32, bool)> {
@@ -253,8 +336,12 @@ mod tests {
         let all = [flat, flat, flat, (corners, 5), flat, (corners, 6)];
         let runs = TriangleRuns::new(6, [(0, 2), (2, 3), (5, 1)].into_iter(), |i| all[i as usize]);
         let ray = TracedRay::new(origin, direction);
-        let (lanes, margins) = runs.crossed::<Portable>(2, 3, &ray);
-        let meet = |lane: u32| meet(runs.corners(2, 3, lane), &ray, margins[lane as usize], f32::INFINITY);
+        let (lanes, margins) = runs.leaf(2, 3).edges::<Portable>(ray.origin).crossed(ray.direction);
+        let meet = |lane: usize| {
+            let entry = || entry(runs.leaf(2, 3).corners(lane), ray.origin, ray.inverse);
+            let seen = runs.leaf(2, 3).seen(lane, ray.origin);
+            seen.meet(ray.direction, margins[lane], f32::INFINITY, entry)
+        };
         assert!([0, 2].into_iter().all(|lane| lanes >> lane & 1 == 0 || meet(lane).is_none()), "a flat lane was hit");
         if lanes >> 1 & 1 == 1 { meet(1) } else { None }
     }

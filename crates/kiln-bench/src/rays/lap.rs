@@ -9,10 +9,11 @@ use glam::Vec3;
 use kiln_trace::{CosineSums, Hit, KernelRates, Ray, SurfaceSample, TraceError, Tracer};
 use rayon::{ThreadPool, prelude::*};
 use serde::{Deserialize, Serialize};
-use std::ops::Range;
 
 /// Points that the rays of one task start at, on the CPU.
 const POINTS_PER_TASK: usize = 64;
+/// Points whose rays are made and traced in one call, on the CPU.
+const POINTS_PER_CALL: usize = 8;
 /// Points that are taken or left out together.
 const POINTS_PER_STRIDE: usize = 1024;
 /// Rays of the any-hit modes end at this share of the scene's diagonal.
@@ -70,38 +71,101 @@ impl Lap {
 /// A tracer and the rays it is given.
 pub(super) struct Course<'a> {
     tracer: &'a dyn Tracer,
-    /// Rays and samples of one call; a graphics device gets them all.
-    rays_per_call: usize,
-    samples_per_call: usize,
+    rays: &'a RaySet,
+    /// Points whose rays are traced.
+    points: Vec<usize>,
+    is_cpu: bool,
+    /// The rays of a graphics device, which gets them all in one call. Those of the CPU are made where they are traced, as
+    /// in the comparison programs.
     closest: Vec<Ray>,
     any: Vec<Ray>,
     samples: Vec<SurfaceSample>,
     kernel: KernelRates,
 }
 
+/// What a tracer answers.
+trait Answer: Clone + Send {
+    const NONE: Self;
+
+    fn ask(tracer: &dyn Tracer, rays: &[Ray], answers: &mut [Self]) -> Result<(), TraceError>;
+
+    /// The distance of a hit, as far as it is known.
+    fn hit(&self) -> Option<f64>;
+}
+
+impl Answer for Hit {
+    const NONE: Self = Self::MISS;
+
+    fn ask(tracer: &dyn Tracer, rays: &[Ray], answers: &mut [Self]) -> Result<(), TraceError> {
+        tracer.trace(rays, answers)
+    }
+
+    fn hit(&self) -> Option<f64> {
+        self.is_hit().then_some(f64::from(self.t))
+    }
+}
+
+impl Answer for bool {
+    const NONE: Self = false;
+
+    fn ask(tracer: &dyn Tracer, rays: &[Ray], answers: &mut [Self]) -> Result<(), TraceError> {
+        tracer.any_hit(rays, answers)
+    }
+
+    fn hit(&self) -> Option<f64> {
+        self.then_some(0.0)
+    }
+}
+
+/// What rays found.
+#[derive(Clone, Copy, Debug, Default)]
+struct Tally {
+    rays: usize,
+    hits: usize,
+    distance: f64,
+}
+
+impl Tally {
+    fn add(&mut self, answers: &[impl Answer]) {
+        self.rays += answers.len();
+        for distance in answers.iter().filter_map(Answer::hit) {
+            self.hits += 1;
+            self.distance += distance;
+        }
+    }
+
+    fn sum(tallies: impl IntoIterator<Item = Self>) -> Self {
+        tallies.into_iter().fold(Self::default(), |sum, part| Self {
+            rays: sum.rays + part.rays,
+            hits: sum.hits + part.hits,
+            distance: sum.distance + part.distance,
+        })
+    }
+}
+
 impl<'a> Course<'a> {
     /// Of every `stride`th run of [`POINTS_PER_STRIDE`] points. On the CPU calls are small, and share the threads.
-    pub(super) fn new(tracer: &'a dyn Tracer, case: &Case, stride: usize, is_cpu: bool) -> Self {
+    pub(super) fn new(tracer: &'a dyn Tracer, case: &'a Case, stride: usize, is_cpu: bool) -> Self {
         let rays = &case.rays;
         let count = rays.origins.len();
         let starts = (0..count).step_by(POINTS_PER_STRIDE * stride);
-        let chosen: Vec<usize> = starts.flat_map(|start| start..(start + POINTS_PER_STRIDE).min(count)).collect();
-        let of = |point: &usize| rays_of(rays, point * rays.per_point..(point + 1) * rays.per_point, f32::INFINITY);
-        let closest: Vec<Ray> = chosen.iter().flat_map(of).collect();
+        let points: Vec<usize> = starts.flat_map(|start| start..(start + POINTS_PER_STRIDE).min(count)).collect();
+        let prepared: &[usize] = if is_cpu { &[] } else { &points };
+        let closest: Vec<Ray> = prepared.iter().flat_map(|point| rays_of_point(rays, *point, f32::INFINITY)).collect();
         let t_max = rays.diagonal_m * ANY_SHARE;
-        let points_per_call = if is_cpu { POINTS_PER_TASK } else { usize::MAX };
         Self {
             tracer,
-            rays_per_call: points_per_call.saturating_mul(rays.per_point),
-            samples_per_call: points_per_call,
+            rays,
+            is_cpu,
             any: closest.iter().map(|ray| Ray { t_max, ..*ray }).collect(),
             closest,
-            samples: chosen.iter().map(|point| sample(rays, *point)).collect(),
+            samples: points.iter().map(|point| sample(rays, *point)).collect(),
+            points,
             kernel: KernelRates::new(&case.kernel),
         }
     }
 
-    /// The rays of a mode; gathering makes its own.
+    /// The rays of a mode that a graphics device is given; gathering makes its own.
     pub(super) fn rays(&self, mode: Mode) -> &[Ray] {
         match mode {
             Mode::Closest => &self.closest,
@@ -113,36 +177,55 @@ impl<'a> Course<'a> {
     /// Traces once on the threads of a pool.
     pub(super) fn run(&self, mode: Mode, pool: &ThreadPool) -> Result<Lap, BenchError> {
         match mode {
-            Mode::Closest => self.closest(pool),
-            Mode::Any => self.any(pool),
+            Mode::Closest => {
+                let (tally, lap) = self.ask::<Hit>(mode, f32::INFINITY, pool)?;
+                Ok(Lap { mean_t: Some(tally.distance / tally.hits.max(1) as f64), ..lap })
+            }
+            Mode::Any => Ok(self.ask::<bool>(mode, self.rays.diagonal_m * ANY_SHARE, pool)?.1),
             Mode::Gather(rays) => self.gather(rays, pool),
         }
     }
 
-    fn closest(&self, pool: &ThreadPool) -> Result<Lap, BenchError> {
-        let mut hits = vec![Hit::MISS; self.closest.len()];
-        let cost = timed(pool, || trace_all(self.tracer, &self.closest, &mut hits, self.rays_per_call))?;
-        let distances = hits.iter().filter(|hit| hit.is_hit()).map(|hit| f64::from(hit.t));
-        let (count, sum) = distances.fold((0usize, 0.0), |(count, sum), t| (count + 1, sum + t));
-        let lap = lap(Mode::Closest, hits.len(), cost, pool);
-        Ok(Lap { hit_fraction: share(count, hits.len()), mean_t: Some(sum / count.max(1) as f64), ..lap })
+    fn ask<A: Answer>(&self, mode: Mode, t_max: f32, pool: &ThreadPool) -> Result<(Tally, Lap), BenchError> {
+        let (tally, cost) =
+            if self.is_cpu { self.ask_in_small_calls::<A>(t_max, pool)? } else { self.ask_at_once::<A>(mode, pool)? };
+        let lap = lap(mode, tally.rays, cost, pool);
+        Ok((tally, Lap { hit_fraction: share(tally.hits, tally.rays), ..lap }))
     }
 
-    fn any(&self, pool: &ThreadPool) -> Result<Lap, BenchError> {
-        let mut blocked = vec![false; self.any.len()];
-        let (width, tracer) = (self.rays_per_call, self.tracer);
-        let cost = timed(pool, || {
-            let calls = self.any.par_chunks(width).zip(blocked.par_chunks_mut(width));
-            calls.try_for_each(|(rays, blocked)| tracer.any_hit(rays, blocked))
+    fn ask_at_once<A: Answer>(&self, mode: Mode, pool: &ThreadPool) -> Result<(Tally, Cost), BenchError> {
+        let rays = self.rays(mode);
+        let mut answers = vec![A::NONE; rays.len()];
+        let cost = timed(pool, || A::ask(self.tracer, rays, &mut answers))?.1;
+        let mut tally = Tally::default();
+        tally.add(&answers);
+        Ok((tally, cost))
+    }
+
+    fn ask_in_small_calls<A: Answer>(&self, t_max: f32, pool: &ThreadPool) -> Result<(Tally, Cost), BenchError> {
+        let task = |(rays, answers): &mut (Vec<Ray>, Vec<A>), points: &[usize]| {
+            let mut tally = Tally::default();
+            for points in points.chunks(POINTS_PER_CALL) {
+                rays.clear();
+                points.iter().for_each(|point| rays.extend(rays_of_point(self.rays, *point, t_max)));
+                answers.clear();
+                answers.resize(rays.len(), A::NONE);
+                A::ask(self.tracer, rays, answers)?;
+                tally.add(answers);
+            }
+            Ok(tally)
+        };
+        let (tallies, cost) = timed(pool, || {
+            let tasks = self.points.par_chunks(POINTS_PER_TASK);
+            tasks.map_init(|| (Vec::new(), Vec::new()), task).collect::<Result<Vec<Tally>, TraceError>>()
         })?;
-        let count = blocked.iter().filter(|blocked| **blocked).count();
-        Ok(Lap { hit_fraction: share(count, blocked.len()), ..lap(Mode::Any, blocked.len(), cost, pool) })
+        Ok((Tally::sum(tallies), cost))
     }
 
     fn gather(&self, rays: u32, pool: &ThreadPool) -> Result<Lap, BenchError> {
         let mut sums = vec![CosineSums::default(); self.samples.len()];
-        let (width, tracer) = (self.samples_per_call, self.tracer);
-        let cost = timed(pool, || {
+        let (width, tracer) = (if self.is_cpu { POINTS_PER_TASK } else { usize::MAX }, self.tracer);
+        let ((), cost) = timed(pool, || {
             let calls = self.samples.par_chunks(width).zip(sums.par_chunks_mut(width));
             calls.try_for_each(|(samples, sums)| tracer.gather_cosine(samples, &self.kernel, rays, sums))
         })?;
@@ -153,22 +236,17 @@ impl<'a> Course<'a> {
 
 /// The closest hits of all rays of a scene.
 pub(super) fn all_hits(tracer: &dyn Tracer, rays: &RaySet) -> Result<Vec<Hit>, BenchError> {
-    let list: Vec<Ray> = rays_of(rays, 0..rays.directions.len(), f32::INFINITY).collect();
+    let points = 0..rays.origins.len();
+    let list: Vec<Ray> = points.flat_map(|point| rays_of_point(rays, point, f32::INFINITY)).collect();
     let mut hits = vec![Hit::MISS; list.len()];
     tracer.trace(&list, &mut hits).map_err(|error| failed(&error))?;
     Ok(hits)
 }
 
-fn trace_all(tracer: &dyn Tracer, rays: &[Ray], hits: &mut [Hit], width: usize) -> Result<(), TraceError> {
-    let calls = rays.par_chunks(width).zip(hits.par_chunks_mut(width));
-    calls.try_for_each(|(rays, hits)| tracer.trace(rays, hits))
-}
-
-fn rays_of(rays: &RaySet, range: Range<usize>, t_max: f32) -> impl Iterator<Item = Ray> {
-    range.map(move |index| {
-        let (origin, direction) = rays.ray(index);
-        Ray { origin: Vec3::from(origin), direction: Vec3::from(direction), t_max }
-    })
+fn rays_of_point(rays: &RaySet, point: usize, t_max: f32) -> impl Iterator<Item = Ray> {
+    let origin = Vec3::from(rays.origins[point]);
+    let directions = &rays.directions[point * rays.per_point..(point + 1) * rays.per_point];
+    directions.iter().map(move |direction| Ray { origin, direction: Vec3::from(*direction), t_max })
 }
 
 fn sample(rays: &RaySet, point: usize) -> SurfaceSample {
@@ -177,14 +255,16 @@ fn sample(rays: &RaySet, point: usize) -> SurfaceSample {
     SurfaceSample { origin, normal, geometric: normal, scramble: scramble(point as u32), first_index: 0 }
 }
 
-fn timed(pool: &ThreadPool, work: impl FnOnce() -> Result<(), TraceError> + Send) -> Result<Cost, BenchError> {
+fn timed<T: Send>(
+    pool: &ThreadPool,
+    work: impl FnOnce() -> Result<T, TraceError> + Send,
+) -> Result<(T, Cost), BenchError> {
     let (done, cost) = pool.install(|| {
         let watch = Stopwatch::start();
         let done = work();
         (done, watch.read())
     });
-    done.map_err(|error| failed(&error))?;
-    Ok(cost)
+    Ok((done.map_err(|error| failed(&error))?, cost))
 }
 
 fn lap(mode: Mode, rays: usize, cost: Cost, pool: &ThreadPool) -> Lap {
