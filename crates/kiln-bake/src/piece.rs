@@ -3,13 +3,19 @@
 use crate::{
     density::{receiving_area_m2, sample_count},
     rounds::Rounds,
-    samples::{Position, SampleMaker},
+    samples::{Batch, Position, SampleMaker},
 };
 use glam::{DAffine3, Vec3};
 use kiln_core::{Bounds, FaceMoments, HalfMoments, Mesh, Sampling, SkipRule, TraceSummary};
 use kiln_trace::{CosineSums, KernelRates, Scene, SurfaceSample, TraceError, Tracer, is_open_above, open_sums};
 use rayon::prelude::*;
-use std::ops::Range;
+use std::{borrow::Cow, ops::Range};
+
+/// Faces whose positions one task makes.
+const FACES_PER_BATCH: usize = 256;
+
+/// One of so many samples is asked first whether it is open.
+const PROBE_STEP: usize = 16;
 
 /// A run of faces of one instance, and how to sample it.
 pub struct Piece<'a> {
@@ -85,30 +91,41 @@ impl<'a> Sampler<'a> {
 
     /// Takes more samples, until each half of each face has as many as wanted.
     pub(crate) fn extend(&mut self, wanted: &[[u32; 2]]) -> Result<(), TraceError> {
-        let halves = self.positions(wanted);
-        let samples: Vec<SurfaceSample> =
-            halves.iter().flatten().flat_map(|position| position.sides.iter().flatten().copied()).collect();
+        let mut batches = self.batches(wanted);
+        let samples = match batches.as_mut_slice() {
+            [only] => std::mem::take(&mut only.samples),
+            _ => batches.iter().flat_map(|batch| &batch.samples).copied().collect(),
+        };
         let sums = self.gather(&samples)?;
-        let mut sums = sums.iter();
-        for (index, positions) in halves.iter().enumerate() {
-            for position in positions {
-                let sides = sums.by_ref().take(position.sides.iter().flatten().count());
-                let half = &mut self.halves[index / 2][index % 2];
-                add_position(half, position, sides, &self.kernel, self.piece.sampling, &mut self.summary);
+        let (mut sums, mut halves) = (sums.as_slice(), self.halves.iter_mut().flatten());
+        for batch in &batches {
+            let mut positions = batch.positions.iter();
+            for (count, half) in batch.counts.iter().zip(&mut halves) {
+                for position in positions.by_ref().take(*count) {
+                    let (sides, rest) = sums.split_at(position.sides);
+                    sums = rest;
+                    add_position(half, position, sides, &self.kernel, self.piece.sampling, &mut self.summary);
+                }
             }
         }
         Ok(())
     }
 
-    /// New positions of each half of each face: face 0 half 0, face 0 half 1, face 1 half 0, …
-    fn positions(&self, wanted: &[[u32; 2]]) -> Vec<Vec<Position>> {
-        let face = |index: usize| {
-            [0, 1].map(|half| {
-                let taken = self.halves[index][half].taken;
-                self.maker.half(self.piece.faces.start + index, half, taken..wanted[index][half].max(taken))
-            })
+    /// New positions, some faces in each batch.
+    fn batches(&self, wanted: &[[u32; 2]]) -> Vec<Batch> {
+        let batch = |(index, wanted): (usize, &[[u32; 2]])| {
+            let mut batch = Batch::default();
+            for (face, wanted) in wanted.iter().enumerate().map(|(at, wanted)| (index * FACES_PER_BATCH + at, wanted)) {
+                for (half, wanted) in wanted.iter().enumerate() {
+                    let before = batch.positions.len();
+                    let taken = self.halves[face][half].taken;
+                    self.maker.half(self.piece.faces.start + face, half, taken..(*wanted).max(taken), &mut batch);
+                    batch.counts.push(batch.positions.len() - before);
+                }
+            }
+            batch
         };
-        (0..wanted.len()).into_par_iter().flat_map_iter(face).collect()
+        wanted.par_chunks(FACES_PER_BATCH).enumerate().map(batch).collect()
     }
 
     /// Whether rays from a point may end before they have crossed all that there is.
@@ -122,14 +139,13 @@ impl<'a> Sampler<'a> {
     /// Gathers the samples that may see something; the others are open without a ray.
     fn gather(&mut self, samples: &[SurfaceSample]) -> Result<Vec<CosineSums>, TraceError> {
         let rays = self.piece.sampling.rays_per_sample;
-        let skips_empty = self.piece.sampling.skips(SkipRule::Empty);
-        let known = |sample: &SurfaceSample| {
-            let is_open = skips_empty && is_open_above(self.scene, sample.origin, sample.geometric, self.kernel.t_max);
-            is_open.then(|| open_sums(sample, rays))
+        let known = self.known(samples);
+        let is_closed = |index: &usize| known.get(*index).is_none_or(Option::is_none);
+        let closed: Cow<'_, [SurfaceSample]> = if known.iter().any(Option::is_some) {
+            (0..samples.len()).filter(is_closed).map(|index| samples[index]).collect()
+        } else {
+            samples.into()
         };
-        let known: Vec<Option<CosineSums>> = samples.par_iter().with_min_len(64).map(known).collect();
-        let closed: Vec<SurfaceSample> =
-            samples.iter().zip(&known).filter(|(_, known)| known.is_none()).map(|(sample, _)| *sample).collect();
         let mut gathered = vec![CosineSums::default(); closed.len()];
         self.tracer.gather_cosine(&closed, &self.kernel, rays, &mut gathered)?;
 
@@ -138,17 +154,33 @@ impl<'a> Sampler<'a> {
         let cut = closed.iter().filter(|sample| self.is_cut(sample.origin)).count() as u64;
         self.summary.rays_cut += cut * u64::from(rays);
         self.summary.rays_skipped_empty += (samples.len() - closed.len()) as u64 * u64::from(rays);
+        if closed.len() == samples.len() {
+            return Ok(gathered);
+        }
         let mut gathered = gathered.into_iter();
         let sums = known.into_iter().map(|known| known.or_else(|| gathered.next()).unwrap_or_default());
         Ok(sums.collect())
     }
+
+    /// What is known of each sample without a ray; empty if nothing is. All are asked only if one of some is open, since most
+    /// pieces are covered by something everywhere.
+    fn known(&self, samples: &[SurfaceSample]) -> Vec<Option<CosineSums>> {
+        let is_open =
+            |sample: &SurfaceSample| is_open_above(self.scene, sample.origin, sample.geometric, self.kernel.t_max);
+        let rays = self.piece.sampling.rays_per_sample;
+        if !self.piece.sampling.skips(SkipRule::Empty) || !samples.iter().step_by(PROBE_STEP).any(is_open) {
+            return Vec::new();
+        }
+        let known = |sample: &SurfaceSample| is_open(sample).then(|| open_sums(sample, rays));
+        samples.par_iter().with_min_len(64).map(known).collect()
+    }
 }
 
 /// Adds the mean of a position's valid sides to its half's moments.
-fn add_position<'s>(
+fn add_position(
     half: &mut HalfMoments,
     position: &Position,
-    sides: impl Iterator<Item = &'s CosineSums>,
+    sides: &[CosineSums],
     kernel: &KernelRates,
     sampling: &Sampling,
     summary: &mut TraceSummary,

@@ -41,6 +41,8 @@ pub(crate) struct Rounds<'a> {
     /// The corners of each face, as vertices of the piece.
     corners: Vec<[u32; 3]>,
     rays_per_position: Vec<u64>,
+    /// The power of [`FALL`] of 2ᵏ, for each k.
+    powers: [f64; u32::BITS as usize],
     /// Faces whose samples are all hidden are given up.
     skips_buried: bool,
 }
@@ -68,8 +70,14 @@ impl<'a> Rounds<'a> {
                 .clone()
                 .map(|face| sides(face) * u64::from(sampling.rays_per_sample))
                 .collect(),
+            powers: std::array::from_fn(|k| libm::pow(f64::from(1u32 << k), FALL)),
             skips_buried: sampling.skips(SkipRule::Buried),
         }
+    }
+
+    /// `n` to the power of [`FALL`].
+    fn power(&self, n: u32) -> f64 {
+        if n.is_power_of_two() { self.powers[n.trailing_zeros() as usize] } else { libm::pow(f64::from(n), FALL) }
     }
 
     /// Takes samples until the piece has enough.
@@ -107,7 +115,7 @@ impl<'a> Rounds<'a> {
     /// The error of the piece is `Σ A h e / n^FALL` over its faces, h the leverage, e the variance of a sample and n their
     /// number; at a given sum of n it is least where n goes as the (1 + FALL)th root of `A h e`.
     fn allocate(&self, noise: &Noise, taken: &[u32]) -> Vec<u32> {
-        let faces = Shares { rounds: self, noise, taken };
+        let faces = Shares::new(self, noise, taken);
         // Each half alone has twice the square of the error that their mean has.
         let relaxed = self.target.relaxed(self.mean_face_area_m2());
         let goal = self.target.goal(faces.deviation());
@@ -129,7 +137,7 @@ impl<'a> Rounds<'a> {
         let buried: Vec<bool> = sampler.halves.iter().map(is_buried).collect();
         for (half, noise) in noise.iter().enumerate() {
             let taken = taken(&sampler.halves, half);
-            let shares = Shares { rounds: self, noise, taken: &taken };
+            let shares = Shares::new(self, noise, &taken);
             let sampled = taken.iter().zip(&self.rays_per_position).filter(|(count, _)| **count > 0);
             let (rays, each) = sampled.fold((0.0, 0.0), |(rays, each), (count, per)| {
                 (rays + f64::from(*count) * *per as f64, each + *per as f64)
@@ -169,23 +177,30 @@ struct Shares<'a> {
     rounds: &'a Rounds<'a>,
     noise: &'a Noise,
     taken: &'a [u32],
+    /// What each face adds to the square of the error, times the visible area and but for the number of its samples.
+    share: Vec<f64>,
+    /// Its binary logarithm.
+    log_share: Vec<f64>,
+    /// Visible area of the faces that have samples.
+    sampled_area: f64,
 }
 
-impl Shares<'_> {
-    fn visible_area(&self, face: usize) -> f64 {
-        self.rounds.areas[face] * self.noise.visible[face]
+impl<'a> Shares<'a> {
+    fn new(rounds: &'a Rounds<'a>, noise: &'a Noise, taken: &'a [u32]) -> Self {
+        let visible = |face: usize| visible_area(rounds, noise, face);
+        let share = |face: usize| visible(face) * rounds.leverage[face] * noise.variance[face];
+        let share: Vec<f64> = (0..taken.len()).map(share).collect();
+        let log_share = share.iter().map(|share| libm::log2(*share)).collect();
+        let sampled_area = (0..taken.len()).filter(|face| taken[*face] > 0).map(visible).sum();
+        Self { rounds, noise, taken, share, log_share, sampled_area }
     }
 
-    /// What the face adds to the square of the error, times the visible area and but for the number of its samples.
-    fn share(&self, face: usize) -> f64 {
-        self.visible_area(face) * self.rounds.leverage[face] * self.noise.variance[face]
-    }
-
-    /// The counts at a scale of the shares: powers of two, which the sequences are best at, within what a round may add.
+    /// The counts at a scale of the shares, of which the binary logarithm is given: powers of two, which the sequences are best
+    /// at, within what a round may add.
     #[expect(clippy::cast_possible_truncation, reason = "clamped to 32 powers of two")]
-    fn counts(&self, scale: f64) -> Vec<u32> {
+    fn counts(&self, log_scale: f64) -> Vec<u32> {
         let count = |(face, &taken): (usize, &u32)| {
-            let wanted = libm::log2(scale * self.share(face)) / (1.0 + FALL);
+            let wanted = (log_scale + self.log_share[face]) / (1.0 + FALL);
             let rounded = 1u32 << wanted.round().clamp(0.0, 30.0) as u32;
             let most = self.rounds.caps[face].min(taken.saturating_mul(GROWTH)).max(taken);
             if taken == 0 { 0 } else { rounded.clamp(taken, most) }
@@ -193,18 +208,17 @@ impl Shares<'_> {
         self.taken.iter().enumerate().map(count).collect()
     }
 
-    /// The predicted square of the half's error.
+    /// The predicted square of the half's error. Faces have samples where they have had some.
     fn error(&self, counts: &[u32]) -> f64 {
-        let sampled = || counts.iter().enumerate().filter(|(_, count)| **count > 0);
-        let area: f64 = sampled().map(|(face, _)| self.visible_area(face)).sum();
-        let terms = sampled().map(|(face, &n)| self.share(face) / libm::pow(f64::from(n), FALL));
-        if area > 0.0 { FITTED * terms.sum::<f64>() / area } else { 0.0 }
+        let sampled = self.share.iter().zip(counts).filter(|(_, count)| **count > 0);
+        let terms = sampled.map(|(share, &n)| share / self.rounds.power(n));
+        if self.sampled_area > 0.0 { FITTED * terms.sum::<f64>() / self.sampled_area } else { 0.0 }
     }
 
     /// Standard deviation of a sample, by area.
     fn deviation(&self) -> f64 {
         let (area, variance) = (0..self.taken.len()).fold((0.0, 0.0), |(area, variance), face| {
-            let visible = self.visible_area(face);
+            let visible = visible_area(self.rounds, self.noise, face);
             (area + visible, variance + visible * self.noise.variance[face])
         });
         if area > 0.0 { (variance / area).sqrt() } else { 0.0 }
@@ -217,14 +231,14 @@ impl Shares<'_> {
         if error > 0.0 { libm::pow(self.error(&single) / error, 1.0 / FALL) } else { 0.0 }
     }
 
-    /// The least scale at which the counts are enough; the largest tried if none is.
+    /// The least scale at which the counts are enough, as its binary logarithm; the largest tried if none is.
     fn least_scale(&self, enough: impl Fn(&[u32]) -> bool) -> f64 {
-        let largest = (0..self.taken.len()).map(|face| self.share(face)).fold(0.0, f64::max);
-        if largest <= 0.0 || enough(&self.counts(0.0)) {
-            return 0.0;
+        let largest = self.log_share.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        if largest == f64::NEG_INFINITY || enough(&self.counts(f64::NEG_INFINITY)) {
+            return f64::NEG_INFINITY;
         }
         // From one sample on the noisiest face to 2³⁰, in steps of a sixteenth of an octave.
-        let scale = |step: u32| libm::exp2(f64::from(step) / 16.0 * (1.0 + FALL)) / largest;
+        let scale = |step: u32| f64::from(step) / 16.0 * (1.0 + FALL) - largest;
         let (mut low, mut high) = (0u32, 30 * 16);
         while low < high {
             let middle = (low + high) / 2;
@@ -232,4 +246,8 @@ impl Shares<'_> {
         }
         scale(low)
     }
+}
+
+fn visible_area(rounds: &Rounds<'_>, noise: &Noise, face: usize) -> f64 {
+    rounds.areas[face] * noise.visible[face]
 }

@@ -3,7 +3,7 @@
 use crate::scramble::{InstanceKey, Stream};
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 use kiln_core::Mesh;
-use kiln_trace::{PositionError, SurfaceSample, sobol_point};
+use kiln_trace::{PositionError, SobolScramble, SurfaceSample, sobol_point};
 use std::ops::Range;
 
 /// Makes the samples of one instance's faces.
@@ -19,12 +19,21 @@ pub(crate) struct SampleMaker<'a> {
     rays_per_sample: u32,
 }
 
-/// One position on a face: one sample for each side that receives.
+/// New positions of halves of faces, one after the other, and the samples at them.
+#[derive(Default)]
+pub(crate) struct Batch {
+    /// Positions of each half.
+    pub(crate) counts: Vec<usize>,
+    pub(crate) positions: Vec<Position>,
+    pub(crate) samples: Vec<SurfaceSample>,
+}
+
+/// One position on a face.
 pub(crate) struct Position {
     /// Barycentric coordinates.
     pub(crate) phi: [f64; 3],
-    /// Front, and back for a double-sided face.
-    pub(crate) sides: [Option<SurfaceSample>; 2],
+    /// Samples at it, one for each side that receives: front, then back.
+    pub(crate) sides: usize,
 }
 
 impl<'a> SampleMaker<'a> {
@@ -46,49 +55,60 @@ impl<'a> SampleMaker<'a> {
         }
     }
 
-    /// Positions of one half of a face's samples, by their indices in its sequence; none if the face has no area in
+    /// Appends positions of one half of a face's samples, by their indices in its sequence; none if the face has no area in
     /// world space.
-    pub(crate) fn half(&self, face: usize, half: usize, indices: Range<u32>) -> Vec<Position> {
+    pub(crate) fn half(&self, face: usize, half: usize, indices: Range<u32>, batch: &mut Batch) {
+        if indices.is_empty() {
+            return;
+        }
         let object = self.mesh.corners(face);
         let world = object.map(|c| self.world_from_object.transform_point3(c.as_dvec3()));
         let cross = (world[1] - world[0]).cross(world[2] - world[0]);
         let geometric = (cross * self.orientation).normalize_or_zero();
         if geometric == DVec3::ZERO {
-            return Vec::new();
+            return;
         }
         let [a, b, c] = object.map(Vec3::as_dvec3);
         let extent = (b - a).length().max((c - b).length()).max((a - c).length());
+        // The bound grows with the coordinates, so that of their greatest on the face is one for all of its points.
+        let furthest = world.iter().fold(DVec3::ZERO, |most, corner| most.max(corner.abs()));
+        let offset = geometric * self.error.bound(furthest, extent).dot(geometric.abs());
+        let normals = self.corner_normals(face);
         let key = self.key.face(object);
         let positions = key.scramble(half, Stream::Positions);
         let is_double_sided = self.mesh.group(face).double_sided;
-        let position = |index: u32| {
+        let [front, back] = [Stream::FrontDirections, Stream::BackDirections].map(|stream| key.scramble(half, stream));
+        for index in indices {
             let phi = barycentric(sobol_point(position_index(index), positions).map(f64::from));
             let point = world[0] * phi[0] + world[1] * phi[1] + world[2] * phi[2];
-            let offset = self.error.bound(point, extent).dot(geometric.abs());
-            let shading = self.shading_normal(face, phi, geometric);
-            let side = |sign: f64, stream: Stream| SurfaceSample {
-                origin: (point + geometric * (sign * offset)).as_vec3(),
+            let shading = shading_normal(&normals, phi, geometric);
+            let side = |sign: f64, scramble: SobolScramble| SurfaceSample {
+                origin: (point + offset * sign).as_vec3(),
                 normal: (shading * sign).as_vec3(),
                 geometric: (geometric * sign).as_vec3(),
-                scramble: key.scramble(half, stream),
+                scramble,
                 first_index: index * self.rays_per_sample,
             };
-            let back = is_double_sided.then(|| side(-1.0, Stream::BackDirections));
-            Position { phi, sides: [Some(side(1.0, Stream::FrontDirections)), back] }
-        };
-        indices.map(position).collect()
+            batch.samples.push(side(1.0, front));
+            if is_double_sided {
+                batch.samples.push(side(-1.0, back));
+            }
+            batch.positions.push(Position { phi, sides: 1 + usize::from(is_double_sided) });
+        }
     }
 
-    /// The interpolated normal where all three corners have one and it is on the geometric normal's side.
-    fn shading_normal(&self, face: usize, phi: [f64; 3], geometric: DVec3) -> DVec3 {
+    /// The normals of a face's corners in world space, up to a common length, where all three have one.
+    fn corner_normals(&self, face: usize) -> Option<[DVec3; 3]> {
         let normals = self.mesh.faces[face].map(|v| Vec3::from_array(self.mesh.normals[v as usize]).as_dvec3());
-        if normals.contains(&DVec3::ZERO) {
-            return geometric;
-        }
-        let normal = normals[0] * phi[0] + normals[1] * phi[1] + normals[2] * phi[2];
-        let normal = (self.normal_matrix * normal).normalize_or_zero();
-        if normal.dot(geometric) > 0.0 { normal } else { geometric }
+        (!normals.contains(&DVec3::ZERO)).then(|| normals.map(|normal| self.normal_matrix * normal))
     }
+}
+
+/// The interpolated normal where the corners have normals and it is on the geometric one's side.
+fn shading_normal(corners: &Option<[DVec3; 3]>, phi: [f64; 3], geometric: DVec3) -> DVec3 {
+    let Some([a, b, c]) = corners else { return geometric };
+    let normal = (*a * phi[0] + *b * phi[1] + *c * phi[2]).normalize_or_zero();
+    if normal.dot(geometric) > 0.0 { normal } else { geometric }
 }
 
 /// Column b is what bit b of a sample's index adds to the index of its position.
@@ -105,7 +125,12 @@ const COLUMNS: [u32; 14] =
 /// fixed, directions are a net of quality t ≤ 3 for up to 2¹⁴ samples, where one order has t = k − 1.
 fn position_index(index: u32) -> u32 {
     let column = |bit: u32| COLUMNS.get(bit as usize).copied().unwrap_or(1 << bit);
-    (0..u32::BITS).filter(|bit| index >> bit & 1 == 1).fold(0, |position, bit| position ^ column(bit))
+    let (mut rest, mut position) = (index, 0);
+    while rest != 0 {
+        position ^= column(rest.trailing_zeros());
+        rest &= rest - 1;
+    }
+    position
 }
 
 /// Area-preserving map from the unit square to barycentric coordinates with little distortion (Heitz 2019, "A

@@ -46,7 +46,7 @@ impl TaskKind {
         match self {
             Self::Import | Self::Plan => 3,
             Self::Solve | Self::Export => 4,
-            Self::Trace => 6,
+            Self::Trace => 7,
         }
     }
 
