@@ -18,8 +18,8 @@ const RATE_HEAD: &str = "
 |---|---|---|---|---|---|---|---|---|
 ";
 const AGREE_HEAD: &str = "
-| Kiln against | rays | hits, its hits | hit differs | distance differs | distance off f64, its | same distance, other triangle | other side | relative difference of t, mean, greatest within | differs on |
-|---|---|---|---|---|---|---|---|---|---|
+| Kiln against | rays | hits, its hits | hit differs | distance differs | distance off f64, its | same distance, other triangle | other side | relative difference of t, mean, greatest within | differs on | Kiln wrong in f64 |
+|---|---|---|---|---|---|---|---|---|---|---|
 ";
 
 /// All that was found on a scene.
@@ -116,10 +116,10 @@ fn agreements(out: &mut String, agreements: &[Agreement]) -> Result {
     }
     out.push_str(AGREE_HEAD);
     for found in agreements {
-        let share = (found.hit_differs + found.distance_differs) as f64 / found.rays.max(1) as f64;
+        let share = found.differing() as f64 / found.rays.max(1) as f64;
         writeln!(
             out,
-            "| {} | {} | {}, {} | {} | {} | {}, {} | {} | {} | {:.1e}, {:.1e} | {share:.1e} of the rays: {} |",
+            "| {} | {} | {}, {} | {} | {} | {}, {} | {} | {} | {:.1e}, {:.1e} | {share:.1e} of the rays | {}: {} |",
             found.against,
             found.rays,
             found.kiln_hits,
@@ -132,6 +132,7 @@ fn agreements(out: &mut String, agreements: &[Agreement]) -> Result {
             found.side_differs,
             found.mean_within,
             found.greatest_within,
+            found.kiln_wrong,
             if found.holds() { "agrees" } else { "DISAGREES" }
         )?;
     }

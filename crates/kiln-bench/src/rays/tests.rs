@@ -133,7 +133,7 @@ fn a_program_is_run_in_turn_and_its_hits_compared() {
     let found = &standings.agreements[0];
     assert_eq!((found.kiln_hits, found.peer_hits, found.hit_differs, found.ties), (2, 1, 1, 0));
     assert_eq!((found.worst[0].ray, found.worst[0].f64_t), (3, 8.0));
-    assert!(!found.holds());
+    assert_eq!((found.kiln_wrong, found.holds()), (0, true), "the program misses what is there");
     let peer = standings.rows.iter().find(|row| row.mode == "closest1").unwrap();
     assert_eq!((peer.tracer.as_str(), peer.laps.len()), ("Embree", 3));
     let (closest, ratios) = (&standings.rows[0].laps[0], standings.ratios(peer).unwrap());
@@ -154,7 +154,10 @@ fn a_program_is_run_in_turn_and_its_hits_compared() {
         predicted: Vec::new(),
     };
     let text = table::scene(&report);
-    assert!(text.contains("### floor") && text.contains("DISAGREES") && text.contains("in f64 8.000000000"), "{text}");
+    assert!(
+        text.contains("### floor") && text.contains("| 0: agrees |") && text.contains("in f64 8.000000000"),
+        "{text}"
+    );
 }
 
 #[test]
