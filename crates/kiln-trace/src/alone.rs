@@ -3,11 +3,10 @@
 use crate::{
     Hit,
     lanes::Lanes,
-    mesh_bvh::MeshBvh,
     node::{BvhLink, LEAF_BIT, MAX_STACK, WideNode},
     path::{Compiled, Kernel},
     ray::{FARTHEST, HIT_SLACK, TracedRay, WIDEN},
-    triangle::{FLIPPED_BIT, TWO_SIDED_BIT, entry, face_of},
+    triangle::{FLIPPED_BIT, TWO_SIDED_BIT, TriangleWords, entry, face_of},
 };
 
 /// A child that waits for its turn, and the distance of its box.
@@ -66,7 +65,7 @@ pub(crate) trait Leaves {
 /// The triangles of a mesh, seen through an instance.
 #[derive(Clone, Copy)]
 pub(crate) struct MeshLeaves<'a> {
-    pub(crate) mesh: &'a MeshBvh,
+    pub(crate) triangles: TriangleWords<'a>,
     pub(crate) instance: u32,
 }
 
@@ -89,7 +88,7 @@ impl MeshLeaves<'_> {
     /// Takes note of what a ray hits in a leaf.
     #[inline(always)]
     fn test<V: Compiled>(&self, first: u32, count: u32, ray: &TracedRay, best: &mut Hit) {
-        let leaf = self.mesh.triangles.leaf(first, count);
+        let leaf = self.triangles.leaf(first, count);
         let (mut lanes, margins) = leaf.edges::<V>(ray.origin).crossed(ray.direction);
         while lanes != 0 {
             let lane = lanes.trailing_zeros() as usize % 8;

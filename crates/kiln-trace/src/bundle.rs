@@ -18,48 +18,12 @@ use crate::{
     lanes::Lanes,
     node::{BvhLink, LEAF_BIT, MAX_DEPTH, MAX_STACK, WideNode},
     path::{Compiled, Kernel},
-    ray::{FARTHEST, HIT_SLACK, TracedRay, WIDEN, inverse_of},
-    scene::SceneInstance,
+    ray::{FARTHEST, HIT_SLACK, WIDEN},
+    rays::{BUNDLE, Column, GROUP, Rays, row},
 };
-use glam::Vec3;
-
-/// Rays of a bundle.
-pub(crate) const BUNDLE: usize = 64;
-
-/// Rays that are tested against one box at once.
-const GROUP: usize = 8;
 
 /// So many rays in the mean group make it worth while to test one box against groups, not eight boxes against each ray.
 const WORTH_WHILE: u32 = 3;
-
-/// One number of each ray of a bundle.
-#[derive(Clone, Copy, Debug)]
-#[repr(C, align(64))]
-pub(crate) struct Column([f32; BUNDLE]);
-
-impl Column {
-    const ZERO: Self = Self([0.0; BUNDLE]);
-
-    #[inline(always)]
-    fn get(&self, ray: usize) -> f32 {
-        self.0[ray % BUNDLE]
-    }
-
-    #[inline(always)]
-    fn set(&mut self, ray: usize, x: f32) {
-        self.0[ray % BUNDLE] = x;
-    }
-
-    #[inline(always)]
-    fn group(&self, group: usize) -> &[f32; GROUP] {
-        &self.0.as_chunks().0[group]
-    }
-
-    #[inline(always)]
-    fn group_mut(&mut self, group: usize) -> &mut [f32; GROUP] {
-        &mut self.0.as_chunks_mut().0[group]
-    }
-}
 
 /// Where no more rays than this are left, each goes on alone.
 const FEW: u32 = 3;
@@ -112,90 +76,6 @@ impl Memory {
     };
 }
 
-/// The rays of a bundle as one tree sees them, a column for each of their numbers.
-#[derive(Clone, Debug)]
-pub(crate) struct Rays {
-    origin: [Column; 3],
-    direction: [Column; 3],
-    /// One over the direction.
-    inverse: [Column; 3],
-}
-
-impl Rays {
-    pub(crate) const NEW: Self = {
-        let none = [Column::ZERO; 3];
-        Self { origin: none, direction: none, inverse: none }
-    };
-
-    /// Puts a ray in; [`Rays::finish`] is due before it is traced.
-    #[inline(always)]
-    pub(crate) fn put(&mut self, ray: usize, origin: Vec3, direction: Vec3) {
-        let (origin, direction) = (origin.to_array(), direction.to_array());
-        for axis in 0..3 {
-            self.origin[axis].set(ray, origin[axis]);
-            self.direction[axis].set(ray, direction[axis]);
-        }
-    }
-
-    /// Computes what follows from origins and directions.
-    #[inline(always)]
-    pub(crate) fn finish(&mut self) {
-        for axis in 0..3 {
-            for ray in 0..BUNDLE {
-                self.inverse[axis].set(ray, inverse_of(self.direction[axis].get(ray)));
-            }
-        }
-    }
-
-    /// Takes over the rays of a mask from world space into that of an instance, and maybe others beside them.
-    #[inline(always)]
-    pub(crate) fn put_seen_from(&mut self, instance: &SceneInstance, world: &Self, mask: u64) {
-        for group in 0..BUNDLE / 8 {
-            if mask >> (8 * group) & 0xff == 0 {
-                continue;
-            }
-            for ray in 8 * group..8 * group + 8 {
-                let (origin, direction) = (instance.point(world.origin(ray)), instance.direction(world.direction(ray)));
-                self.put(ray, origin, direction);
-                let direction = direction.to_array();
-                for axis in 0..3 {
-                    self.inverse[axis].set(ray, inverse_of(direction[axis]));
-                }
-            }
-        }
-    }
-
-    #[inline(always)]
-    pub(crate) fn origin(&self, ray: usize) -> Vec3 {
-        Vec3::from_array(row(&self.origin, ray))
-    }
-
-    #[inline(always)]
-    pub(crate) fn direction(&self, ray: usize) -> Vec3 {
-        Vec3::from_array(row(&self.direction, ray))
-    }
-
-    #[inline(always)]
-    pub(crate) fn inverse(&self, ray: usize) -> [f32; 3] {
-        row(&self.inverse, ray)
-    }
-
-    /// One of the rays, to be traced alone.
-    #[inline(always)]
-    pub(crate) fn alone(&self, ray: usize) -> TracedRay {
-        TracedRay {
-            origin: row(&self.origin, ray),
-            direction: row(&self.direction, ray),
-            inverse: row(&self.inverse, ray),
-        }
-    }
-}
-
-#[inline(always)]
-fn row(columns: &[Column; 3], ray: usize) -> [f32; 3] {
-    [columns[0].get(ray), columns[1].get(ray), columns[2].get(ray)]
-}
-
 /// The best hits so far.
 #[derive(Debug)]
 pub(crate) struct Hits {
@@ -205,7 +85,7 @@ pub(crate) struct Hits {
 }
 
 impl Hits {
-    pub(crate) const NEW: Self = Self { best: [Hit::MISS; BUNDLE], reach: Column([-1.0; BUNDLE]) };
+    pub(crate) const NEW: Self = Self { best: [Hit::MISS; BUNDLE], reach: Column::of(-1.0) };
 
     /// Starts a ray that sees nothing beyond `t_max`.
     pub(crate) fn start(&mut self, ray: usize, t_max: f32) {
@@ -215,7 +95,7 @@ impl Hits {
     /// Rays from here on are of no bundle.
     #[inline(always)]
     pub(crate) fn end(&mut self, count: usize) {
-        self.reach.0[count.min(BUNDLE)..].fill(-1.0);
+        self.reach.fill_from(count, -1.0);
     }
 
     /// The best hit of a ray, or of no instance.
@@ -389,11 +269,9 @@ fn enter_by_group<V: Lanes, const SHARED: bool>(entering: Entering, memory: &mut
             break;
         }
         let mut planes = [infinite; 6];
-        for axis in 0..3 {
-            for row in [axis, axis + 3] {
-                let plane = node.bounds[row][slot];
-                planes[row] = V::splat(if SHARED { plane - origin[axis] } else { plane });
-            }
+        for (row, splatted) in planes.iter_mut().enumerate() {
+            let plane = node.bounds[row][slot];
+            *splatted = V::splat(if SHARED { plane - origin[row % 3] } else { plane });
         }
         let distances = &mut memory.distances[depth].0[slot];
         let (mut entered, mut nearest) = (0, infinite);

@@ -2,8 +2,8 @@
 
 use crate::{
     CosineSums, Hit, KernelRates, Path, Ray, Scene, SurfaceSample, TraceError, Tracer,
-    bundle::BUNDLE,
     levels::Workspace,
+    rays::BUNDLE,
     stream::{Answer, Gather, Trace},
 };
 use rayon::prelude::*;

@@ -3,10 +3,11 @@
 use crate::{
     Hit, Scene,
     alone::{self, Leaves, MeshLeaves, Stack, precedes},
-    bundle::{self, BUNDLE, BundleLeaves, Hits, Memory, Rays},
+    bundle::{self, BundleLeaves, Hits, Memory},
     node::{MAX_LEAF, WideNode},
     path::{Compiled, Kernel},
     ray::TracedRay,
+    rays::{BUNDLE, Rays},
     triangle::{SeenTriangle, entry},
 };
 use glam::Vec3;
@@ -83,7 +84,8 @@ impl BundleLeaves for SceneBundle<'_> {
         hits: &mut Hits,
     ) {
         let instance = &self.scene.instances[first as usize];
-        let mesh = MeshLeaves { mesh: &self.scene.meshes[instance.mesh as usize], instance: first };
+        let mesh = &self.scene.meshes[instance.mesh as usize];
+        let in_mesh = MeshLeaves { triangles: mesh.triangles.words(), instance: first };
         let rays = if instance.is_identity {
             rays
         } else {
@@ -91,8 +93,8 @@ impl BundleLeaves for SceneBundle<'_> {
             &*self.object
         };
         let MeshMemory { memory, stack, seen } = &mut *self.memory;
-        let leaves = &mut MeshBundle { mesh, stack, seen };
-        let nodes = mesh.mesh.nodes.as_slice();
+        let leaves = &mut MeshBundle { nodes: &mesh.nodes, mesh: in_mesh, stack, seen };
+        let nodes = &*mesh.nodes;
         let walk: bundle::Walk<'_, _, ANY, SHARED> = bundle::Walk { nodes, leaves, rays, mask, hits, memory };
         V::compiled(walk);
     }
@@ -123,6 +125,7 @@ fn go_alone<V: Compiled, L: Leaves, const ANY: bool>(
 
 /// The triangles of a mesh, for a bundle of rays.
 struct MeshBundle<'a> {
+    nodes: &'a [WideNode],
     mesh: MeshLeaves<'a>,
     stack: &'a mut Stack,
     seen: &'a mut [SeenTriangle; MAX_LEAF],
@@ -131,7 +134,7 @@ struct MeshBundle<'a> {
 impl BundleLeaves for MeshBundle<'_> {
     #[inline(always)]
     fn prefetch<V: Compiled>(&self, first: u32) {
-        self.mesh.mesh.triangles.prefetch::<V>(first);
+        self.mesh.triangles.prefetch::<V>(first);
     }
 
     #[inline(always)]
@@ -143,7 +146,7 @@ impl BundleLeaves for MeshBundle<'_> {
         rays: &Rays,
         hits: &mut Hits,
     ) {
-        let leaf = self.mesh.mesh.triangles.leaf(first, count);
+        let leaf = self.mesh.triangles.leaf(first, count);
         let mut rest = mask;
         let mut origin = rays.origin(rest.trailing_zeros() as usize);
         let mut edges = leaf.edges::<V>(origin.to_array());
@@ -190,7 +193,7 @@ impl BundleLeaves for MeshBundle<'_> {
 
     #[inline(always)]
     fn walk_alone<V: Compiled, const ANY: bool>(&mut self, start: u32, ray: usize, rays: &Rays, hits: &mut Hits) {
-        go_alone::<V, _, ANY>(&self.mesh.mesh.nodes, &self.mesh, start, ray, rays, hits, self.stack);
+        go_alone::<V, _, ANY>(self.nodes, &self.mesh, start, ray, rays, hits, self.stack);
     }
 }
 
@@ -211,14 +214,15 @@ impl Leaves for SceneAlone<'_> {
         top: usize,
     ) {
         let instance = &self.scene.instances[first as usize];
-        let mesh = MeshLeaves { mesh: &self.scene.meshes[instance.mesh as usize], instance: first };
+        let mesh = &self.scene.meshes[instance.mesh as usize];
+        let in_mesh = MeshLeaves { triangles: mesh.triangles.words(), instance: first };
         let ray = if instance.is_identity {
             *ray
         } else {
             let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
             TracedRay::new(instance.point(origin), instance.direction(direction))
         };
-        let nodes = mesh.mesh.nodes.as_slice();
-        V::compiled(alone::Walk::<_, ANY> { nodes, leaves: &mesh, start: 0, ray: &ray, best, stack, bottom: top });
+        let nodes = &*mesh.nodes;
+        V::compiled(alone::Walk::<_, ANY> { nodes, leaves: &in_mesh, start: 0, ray: &ray, best, stack, bottom: top });
     }
 }

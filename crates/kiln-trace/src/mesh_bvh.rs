@@ -4,6 +4,7 @@ use crate::{
     BvhChild,
     build::build,
     node::{BvhLink, MAX_LEAF, WideNode},
+    pages::Pages,
     triangle::{FLIPPED_BIT, TWO_SIDED_BIT, TriangleRuns, face_of},
 };
 use glam::{DVec3, Vec3, Vec3A};
@@ -19,7 +20,7 @@ use std::collections::HashSet;
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeshBvh {
     /// Nodes; the root is the first. Empty where nothing occludes.
-    pub(crate) nodes: Vec<WideNode>,
+    pub(crate) nodes: Pages<WideNode>,
     /// What the leaves name.
     pub(crate) triangles: TriangleRuns,
     /// Bounds of all occluding faces, object space.
@@ -51,7 +52,7 @@ impl MeshBvh {
             let occluder = &occluders[tree.order[index as usize] as usize];
             (occluder.corners, occluder.primitive)
         });
-        Self { nodes: tree.nodes, triangles, bounds }
+        Self { nodes: tree.nodes.into(), triangles, bounds }
     }
 
     /// Whether nothing in it stops a ray.
@@ -71,7 +72,7 @@ impl MeshBvh {
 
     /// Memory of nodes and triangles, bytes.
     pub fn memory_bytes(&self) -> usize {
-        size_of_val(self.nodes.as_slice()) + self.triangles.memory_bytes()
+        size_of_val(&*self.nodes) + self.triangles.memory_bytes()
     }
 
     /// Greatest absolute coordinate of each axis.

@@ -77,7 +77,7 @@ impl MeshBvh {
             let id = ids[index as usize];
             (Occluder::new(mesh, face_of(id), id & TWO_SIDED_BIT != 0).corners, id)
         });
-        Ok(Self { nodes, triangles, bounds })
+        Ok(Self { nodes: nodes.into(), triangles, bounds })
     }
 }
 

@@ -2,11 +2,11 @@
 
 use crate::{
     CosineSums, Hit, KernelRates, ONE, Ray, Scene, SurfaceSample,
-    bundle::BUNDLE,
     directions::cosine_directions,
     levels::{TraceBundle, Workspace},
     orthonormal_basis,
     path::{Compiled, Kernel},
+    rays::BUNDLE,
 };
 use glam::Vec3;
 

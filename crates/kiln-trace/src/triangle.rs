@@ -16,7 +16,7 @@
 //! all boxes around it, no later but for rounding, which `HIT_SLACK` covers. So whatever the tree, what it finds is what
 //! testing every triangle finds, to the bit.
 
-use crate::{lanes::Lanes, node::MAX_LEAF, ray::WIDEN};
+use crate::{lanes::Lanes, node::MAX_LEAF, pages::Pages, ray::WIDEN};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -51,7 +51,7 @@ const SLACK: usize = LEAF_WORDS - WORDS;
 /// so no word is wasted on lanes that are not used.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct TriangleRuns {
-    words: Vec<f32>,
+    words: Pages<f32>,
     /// Bit i: triangle i is the first of a leaf. One bit more, set, ends the last leaf.
     begins: Vec<u64>,
     count: usize,
@@ -67,10 +67,10 @@ impl TriangleRuns {
         let mut begins = vec![0; count / 64 + 1];
         begins[count / 64] = 1 << (count % 64);
         leaves.for_each(|(first, _)| begins[first as usize / 64] |= 1 << (first % 64));
-        let mut words = vec![0.0; WORDS * count + SLACK];
-        let mut runs = Self { words: Vec::new(), begins, count };
+        let mut words = Pages::zeroed(WORDS * count + SLACK);
+        let mut runs = Self { words: Pages::default(), begins, count };
         // Whole leaves for each task.
-        let (mut parts, mut rest, mut first) = (Vec::new(), words.as_mut_slice(), 0);
+        let (mut parts, mut rest, mut first) = (Vec::new(), &mut *words, 0);
         while first < count {
             let end = runs.begin_from((first + TRIANGLES_PER_TASK).min(count));
             let (part, after) = rest.split_at_mut(WORDS * (end - first));
@@ -125,29 +125,46 @@ impl TriangleRuns {
         (leaf.corners(lane as usize), leaf.id(lane as usize))
     }
 
-    /// Asks for the first lines of a leaf.
-    #[inline(always)]
-    pub(crate) fn prefetch<V: Lanes>(&self, first: u32) {
-        let at = WORDS * first as usize;
-        V::prefetch(self.words.get(at..at + 48).unwrap_or_default());
-    }
-
     /// Id of a lane of a leaf.
     #[inline(always)]
     pub(crate) fn id(&self, first: u32, count: u32, lane: u32) -> u32 {
         self.leaf(first, count).id(lane as usize)
     }
 
-    /// A leaf.
+    /// The triangles as they are traced.
     #[inline(always)]
+    pub(crate) fn words(&self) -> TriangleWords<'_> {
+        TriangleWords(&self.words)
+    }
+
+    /// A leaf.
     pub(crate) fn leaf(&self, first: u32, count: u32) -> Leaf<'_> {
-        let words = self.words[WORDS * first as usize..].first_chunk().expect("there is slack after the last leaf");
-        Leaf { words, count: (count as usize - 1) % MAX_LEAF + 1 }
+        self.words().leaf(first, count)
     }
 
     /// Size in memory, bytes.
     pub(crate) fn memory_bytes(&self) -> usize {
-        size_of_val(self.words.as_slice()) + size_of_val(self.begins.as_slice())
+        size_of_val(&*self.words) + size_of_val(self.begins.as_slice())
+    }
+}
+
+/// The words of a mesh's triangles.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct TriangleWords<'a>(&'a [f32]);
+
+impl<'a> TriangleWords<'a> {
+    /// Asks for the first lines of a leaf.
+    #[inline(always)]
+    pub(crate) fn prefetch<V: Lanes>(&self, first: u32) {
+        let at = WORDS * first as usize;
+        V::prefetch(self.0.get(at..at + 48).unwrap_or_default());
+    }
+
+    /// A leaf.
+    #[inline(always)]
+    pub(crate) fn leaf(&self, first: u32, count: u32) -> Leaf<'a> {
+        let words = self.0[WORDS * first as usize..].first_chunk().expect("there is slack after the last leaf");
+        Leaf { words, count: (count as usize - 1) % MAX_LEAF + 1 }
     }
 }
 
