@@ -5,16 +5,18 @@
 //! subtree as a forest of at most i roots, i = 1 to 7. Deviation: a leaf costs the same whatever it holds, up to
 //! eight, since its triangles are tested side by side.
 
-use crate::node::{BvhChild, BvhLink, WideNode};
+use crate::{
+    boxed::Boxed,
+    node::{BvhChild, BvhLink, WideNode},
+};
 use glam::Vec3;
-use obvhs::bvh2::Bvh2;
 use rayon::prelude::*;
 
 /// Cost of visiting a leaf, in visits of a node. Of 0.6, 1.0 and 1.5 the second was fastest on two levels of 268 and 595
 /// thousand triangles, by 1 % and by 5 to 9 %.
 const LEAF_COST: f32 = 1.0;
 
-/// Nodes of the binary tree for each part that one thread merges, roughly.
+/// Primitives of the largest part that one thread turns into nodes.
 const PART: usize = 1 << 14;
 
 /// A tree over primitives that are known by their boxes only.
@@ -28,41 +30,99 @@ pub(crate) struct WideTree {
     pub(crate) depth: usize,
 }
 
-/// A node of the binary tree, in preorder: its left child is the next one, the right child follows the left one's subtree.
-#[derive(Clone, Copy, Debug)]
-struct Subtree {
-    /// Index of the node.
-    node: u32,
-    /// Nodes in it, itself included.
-    size: u32,
-    /// Its primitives, as a run.
-    first: u32,
-    count: u32,
+/// An inner node of a binary tree. Its left child is the next one, if it is an inner node.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Inner {
+    /// Least corner of its box.
+    pub(crate) min: [f32; 3],
+    /// Greatest corner of its box.
+    pub(crate) max: [f32; 3],
+    /// Primitives in its left child.
+    pub(crate) left: u32,
+    /// How many nodes further on its right child is, if it is an inner node.
+    pub(crate) right: u32,
+    /// How it is represented.
+    pub(crate) shares: Shares,
 }
 
 /// Cost of a subtree as at most 1 to 7 roots; entry 0 is not used.
-type Costs = [f32; 8];
+pub(crate) type Costs = [f32; 8];
 
-/// How the cheapest ways to represent a subtree begin: roots that the left child gets when so many are shared out; 0 where one
-/// root less costs no more. Entry 0 is for the eight slots of a node of its own, entry 1 is 1 if one root is a leaf.
-type Shares = [u8; 8];
+/// How the cheapest ways to represent a subtree begin: roots that the left child gets when so many are shared out, three bits
+/// for each number; 0 where one root less costs no more. Number 0 is for the eight slots of a node of its own.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Shares(u32);
 
-/// A binary tree in preorder, or what of it is above the nodes of some depth.
-#[derive(Debug, Default)]
-struct Binary {
-    tree: Vec<Subtree>,
-    /// Of each subtree, once they are known.
-    shares: Vec<Shares>,
-    /// Its primitives in the order of the leaves, or the nodes at which it was cut.
-    order: Vec<u32>,
+impl Shares {
+    fn of(self, roots: usize) -> usize {
+        (self.0 >> (3 * roots) & 7) as usize
+    }
+
+    fn set(&mut self, roots: usize, share: usize) {
+        self.0 |= (share as u32) << (3 * roots);
+    }
 }
 
-/// Merges a binary tree eight-wide. Leaves hold at most `max_leaf` primitives.
-pub(crate) fn collapse(bvh: &Bvh2, max_leaf: usize) -> WideTree {
-    let binary = weigh(bvh, max_leaf);
+/// A binary tree: inner nodes in preorder, primitives in the order of its leaves.
+#[derive(Clone, Copy)]
+struct Binary<'a> {
+    nodes: &'a [Inner],
+    primitives: &'a [Boxed],
+    max_leaf: usize,
+}
+
+/// A run of primitives; with more than a leaf holds, the node that splits it.
+#[derive(Clone, Copy, Debug)]
+struct Subtree {
+    node: usize,
+    first: usize,
+    count: usize,
+}
+
+impl Binary<'_> {
+    fn is_leaf(&self, subtree: Subtree) -> bool {
+        subtree.count <= self.max_leaf
+    }
+
+    fn children(&self, Subtree { node, first, count }: Subtree) -> [Subtree; 2] {
+        let (left, right) = (self.nodes[node].left as usize, self.nodes[node].right as usize);
+        let children = [(node + 1, first, left), (node + right, first + left, count - left)];
+        children.map(|(node, first, count)| Subtree { node, first, count })
+    }
+
+    fn corners(&self, subtree: Subtree) -> (Vec3, Vec3) {
+        if self.is_leaf(subtree) {
+            let hull = Boxed::around(&self.primitives[subtree.first..subtree.first + subtree.count]);
+            return (hull.min(), hull.max());
+        }
+        let node = &self.nodes[subtree.node];
+        (node.min.into(), node.max.into())
+    }
+
+    /// Appends the roots of an inner subtree's children, of which there are to be so many at most.
+    fn share_out(&self, subtree: Subtree, roots: usize, out: &mut Vec<Subtree>) {
+        let share = self.nodes[subtree.node].shares.of(roots % 8);
+        let [left, right] = self.children(subtree);
+        for (child, mut roots) in [(left, share), (right, roots - share)] {
+            if self.is_leaf(child) {
+                roots = 1;
+            }
+            while roots > 1 && self.nodes[child.node].shares.of(roots) == 0 {
+                roots -= 1;
+            }
+            if roots == 1 { out.push(child) } else { self.share_out(child, roots, out) }
+        }
+    }
+}
+
+/// Merges a binary tree eight-wide: inner nodes in preorder, primitives in the order of its leaves, of which each holds
+/// at most `max_leaf`.
+pub(crate) fn collapse(nodes: &[Inner], primitives: &[Boxed], max_leaf: usize) -> WideTree {
+    let binary = Binary { nodes, primitives, max_leaf };
     let mut deferred = Vec::new();
-    let mut wide = widen(bvh, &binary, 0, Some(&mut deferred));
-    let parts: Vec<WideTree> = deferred.par_iter().map(|part| widen(bvh, &binary, part.at, None)).collect();
+    let root = Subtree { node: 0, first: 0, count: primitives.len() };
+    let mut wide = widen(&binary, root, Some(&mut deferred));
+    let parts: Vec<WideTree> = deferred.par_iter().map(|part| widen(&binary, part.subtree, None)).collect();
     let total = wide.nodes.len() + parts.iter().map(|part| part.nodes.len()).sum::<usize>();
     wide.nodes.reserve_exact(total - wide.nodes.len());
     for (Deferred { node, slot, depth, .. }, mut part) in deferred.into_iter().zip(parts) {
@@ -76,207 +136,80 @@ pub(crate) fn collapse(bvh: &Bvh2, max_leaf: usize) -> WideTree {
         wide.depth = wide.depth.max(depth + part.depth);
         wide.nodes.append(&mut part.nodes);
     }
-    WideTree { order: binary.order, ..wide }
+    WideTree { order: primitives.iter().map(Boxed::index).collect(), ..wide }
 }
 
 /// A subtree that another thread turns into nodes: which one, the slot that leads to it, and the depth of that slot's node.
 struct Deferred {
-    at: usize,
+    subtree: Subtree,
     node: usize,
     slot: usize,
     depth: usize,
 }
 
 /// Turns a subtree into nodes, its own first; with `deferred` all but those that are small enough for a task.
-fn widen(bvh: &Bvh2, binary: &Binary, at: usize, mut deferred: Option<&mut Vec<Deferred>>) -> WideTree {
+fn widen(binary: &Binary, subtree: Subtree, mut deferred: Option<&mut Vec<Deferred>>) -> WideTree {
     let mut wide = WideTree { nodes: vec![WideNode::EMPTY], order: Vec::new(), depth: 0 };
     // Each entry: subtree to turn into a node, the node's index, its depth.
-    let mut pending = vec![(at, 0usize, 1usize)];
+    let mut pending = vec![(subtree, 0usize, 1usize)];
     let (mut roots, mut children) = (Vec::with_capacity(8), Vec::with_capacity(8));
-    while let Some((at, node, depth)) = pending.pop() {
+    while let Some((subtree, node, depth)) = pending.pop() {
         wide.depth = wide.depth.max(depth);
         roots.clear();
         children.clear();
-        if is_leaf(&binary.shares[at]) {
-            roots.push(at);
+        if binary.is_leaf(subtree) {
+            roots.push(subtree);
         } else {
-            share_out(binary, at, 8, &mut roots);
+            binary.share_out(subtree, 8, &mut roots);
         }
         for (slot, &root) in roots.iter().enumerate() {
-            let Subtree { first, count, size, .. } = binary.tree[root];
-            let link = if is_leaf(&binary.shares[root]) {
-                BvhLink::Leaf { first, count }
-            } else if let (true, Some(deferred)) = (size as usize <= PART, deferred.as_deref_mut()) {
-                deferred.push(Deferred { at: root, node, slot, depth });
+            let link = if binary.is_leaf(root) {
+                BvhLink::Leaf { first: root.first as u32, count: root.count as u32 }
+            } else if let (true, Some(deferred)) = (root.count <= PART, deferred.as_deref_mut()) {
+                deferred.push(Deferred { subtree: root, node, slot, depth });
                 BvhLink::Node(0)
             } else {
                 pending.push((root, wide.nodes.len(), depth + 1));
                 wide.nodes.push(WideNode::EMPTY);
                 BvhLink::Node((wide.nodes.len() - 1) as u32)
             };
-            let aabb = bvh.nodes[binary.tree[root].node as usize].aabb();
-            children.push(BvhChild { min: Vec3::from(aabb.min), max: Vec3::from(aabb.max), link });
+            let (min, max) = binary.corners(root);
+            children.push(BvhChild { min, max, link });
         }
         wide.nodes[node] = WideNode::new(&children);
     }
     wide
 }
 
-fn is_leaf(shares: &Shares) -> bool {
-    shares[1] == 1
+/// What a leaf costs, however many roots it may have.
+pub(crate) fn leaf(area: f32) -> Costs {
+    [LEAF_COST * area; 8]
 }
 
-/// The binary tree in preorder, with the cheapest ways to represent each subtree. It is cut at a depth that gives parts for
-/// all threads; what is above them is put together from what they cost.
-fn weigh(bvh: &Bvh2, max_leaf: usize) -> Binary {
-    let depth = (bvh.nodes.len() / PART + 1).next_power_of_two().ilog2();
-    let top = preorder(bvh, 0, Some(depth));
-    let weigh_part = |root: &u32| {
-        let mut part = preorder(bvh, *root as usize, None);
-        let costs = weigh_all(bvh, &mut part, max_leaf);
-        (part, costs)
-    };
-    let (mut parts, costs): (Vec<Binary>, Vec<Costs>) = top.order.par_iter().map(weigh_part).unzip();
-    let mut whole = Binary::default();
-    if top.tree.len() == 1 {
-        return parts.pop().unwrap_or_default();
-    }
-    let total = top.tree.len() - parts.len() + parts.iter().map(|part| part.tree.len()).sum::<usize>();
-    whole.tree.reserve_exact(total);
-    whole.shares.reserve_exact(total);
-    whole.order.reserve_exact(bvh.primitive_indices.len());
-    // Sizes and runs of the top are those of whole subtrees before it is weighed.
-    let mut parts = parts.into_iter();
-    let mut places = Vec::with_capacity(top.tree.len());
-    for subtree in &top.tree {
-        places.push(whole.tree.len());
-        if subtree.size == 1 {
-            let Some(mut part) = parts.next() else { break };
-            let first = whole.order.len() as u32;
-            whole.tree.extend(part.tree.iter().map(|subtree| Subtree { first: first + subtree.first, ..*subtree }));
-            whole.shares.append(&mut part.shares);
-            whole.order.append(&mut part.order);
-        } else {
-            whole.tree.push(Subtree { first: whole.order.len() as u32, ..*subtree });
-            whole.shares.push(Shares::default());
-        }
-    }
-    weigh_top(bvh, &top, &places, &costs, max_leaf, &mut whole);
-    whole
-}
-
-/// Weighs the inner nodes of the top, which are at given places of the whole.
-fn weigh_top(bvh: &Bvh2, top: &Binary, places: &[usize], parts: &[Costs], max_leaf: usize, whole: &mut Binary) {
-    let mut costs = vec![Costs::default(); top.tree.len()];
-    for at in (0..top.tree.len()).rev() {
-        let subtree = top.tree[at];
-        if subtree.size == 1 {
-            costs[at] = parts[subtree.first as usize];
-            continue;
-        }
-        let children = [at + 1, at + 1 + top.tree[at + 1].size as usize];
-        let [left, right] = children.map(|child| whole.tree[places[child]]);
-        let place = places[at];
-        whole.tree[place].size = 1 + left.size + right.size;
-        whole.tree[place].count = left.count + right.count;
-        let children = Some(children.map(|child| costs[child]));
-        (costs[at], whole.shares[place]) = cost(bvh, &whole.tree[place], children, max_leaf);
-    }
-}
-
-/// Weighs all subtrees of a binary tree. Returns what the whole costs.
-fn weigh_all(bvh: &Bvh2, binary: &mut Binary, max_leaf: usize) -> Costs {
-    let tree = &binary.tree;
-    let mut costs = vec![Costs::default(); tree.len()];
-    binary.shares = vec![Shares::default(); tree.len()];
-    // A parent comes before its children, so that backwards both children are known.
-    for at in (0..tree.len()).rev() {
-        let is_inner = tree[at].size > 1;
-        let children = is_inner.then(|| [costs[at + 1], costs[at + 1 + tree[at + 1].size as usize]]);
-        (costs[at], binary.shares[at]) = cost(bvh, &tree[at], children, max_leaf);
-    }
-    costs.first().copied().unwrap_or_default()
-}
-
-/// The binary tree below a node. Cut at a depth, nodes there are leaves of one thing, themselves.
-fn preorder(bvh: &Bvh2, root: usize, cut: Option<u32>) -> Binary {
-    let mut binary = Binary::default();
-    let Binary { tree, order, .. } = &mut binary;
-    enum Step {
-        Enter(usize, u32),
-        /// All of the subtree that begins here has been entered.
-        Close(usize),
-    }
-    let mut steps = vec![Step::Enter(root, 0)];
-    while let Some(step) = steps.pop() {
-        match step {
-            Step::Close(at) => {
-                tree[at].size = (tree.len() - at) as u32;
-                tree[at].count = order.len() as u32 - tree[at].first;
-            }
-            Step::Enter(index, depth) => {
-                let node = &bvh.nodes[index];
-                let below = node.first_index as usize;
-                let first = order.len() as u32;
-                tree.push(Subtree { node: index as u32, size: 1, first, count: node.prim_count });
-                match cut {
-                    Some(cut) if depth == cut || node.is_leaf() => order.push(index as u32),
-                    _ if node.is_leaf() => {
-                        order.extend_from_slice(&bvh.primitive_indices[below..below + node.prim_count as usize]);
-                    }
-                    _ => {
-                        let close = Step::Close(tree.len() - 1);
-                        steps.extend([close, Step::Enter(below + 1, depth + 1), Step::Enter(below, depth + 1)]);
-                    }
-                }
-            }
-        }
-    }
-    binary
-}
-
-/// The cheapest ways to represent a subtree, by those of its children.
-fn cost(bvh: &Bvh2, subtree: &Subtree, children: Option<[Costs; 2]>, max_leaf: usize) -> (Costs, Shares) {
-    let area = bvh.nodes[subtree.node as usize].aabb().half_area();
-    let as_leaf = if subtree.count as usize <= max_leaf { LEAF_COST * area } else { f32::INFINITY };
-    let (mut costs, mut shares) = ([as_leaf; 8], Shares::default());
-    shares[1] = 1;
-    if let Some([left, right]) = children {
-        let (inside, share) = cheapest(&left, &right, 8);
-        shares[0] = share;
-        let as_node = area + inside;
-        shares[1] = u8::from(as_leaf <= as_node);
-        costs[1] = as_leaf.min(as_node);
-        for roots in 2..8 {
-            let (shared, share) = cheapest(&left, &right, roots);
-            let fewer = costs[roots - 1];
-            shares[roots] = if shared < fewer { share } else { 0 };
-            costs[roots] = shared.min(fewer);
-        }
+/// The cheapest ways to represent an inner subtree, by those of its children.
+pub(crate) fn merge(area: f32, left: &Costs, right: &Costs) -> (Costs, Shares) {
+    let (mut costs, mut shares) = (Costs::default(), Shares::default());
+    let (inside, share) = cheapest(left, right, 8);
+    shares.set(0, share);
+    costs[1] = area + inside;
+    for roots in 2..8 {
+        let (shared, share) = cheapest(left, right, roots);
+        let fewer = costs[roots - 1];
+        shares.set(roots, if shared < fewer { share } else { 0 });
+        costs[roots] = shared.min(fewer);
     }
     (costs, shares)
 }
 
 /// The best way to share roots out to two children: cost, and the left one's share.
-fn cheapest(left: &Costs, right: &Costs, roots: usize) -> (f32, u8) {
+#[inline(always)]
+fn cheapest(left: &Costs, right: &Costs, roots: usize) -> (f32, usize) {
     let mut best = (f32::INFINITY, 1);
     for share in roots.saturating_sub(7).max(1)..roots.min(8) {
         let cost = left[share] + right[roots - share];
         if cost < best.0 {
-            best = (cost, share as u8);
+            best = (cost, share);
         }
     }
     best
-}
-
-/// Appends the roots of an inner subtree's children, of which there are to be so many at most.
-fn share_out(binary: &Binary, at: usize, roots: usize, out: &mut Vec<usize>) {
-    let share = usize::from(binary.shares[at][roots % 8]);
-    let right = at + 1 + binary.tree[at + 1].size as usize;
-    for (child, mut roots) in [(at + 1, share), (right, roots - share)] {
-        while roots > 1 && binary.shares[child][roots] == 0 {
-            roots -= 1;
-        }
-        if roots == 1 { out.push(child) } else { share_out(binary, child, roots, out) }
-    }
 }

@@ -8,6 +8,8 @@
 mod alone;
 #[cfg(target_arch = "x86_64")]
 mod avx2;
+mod binned;
+mod boxed;
 mod build;
 mod bundle;
 mod collapse;

@@ -2,16 +2,16 @@
 
 use crate::{
     BvhChild,
+    boxed::Boxed,
     build::build,
     node::{BvhLink, MAX_LEAF, WideNode},
     pages::Pages,
     triangle::{FLIPPED_BIT, TWO_SIDED_BIT, TriangleRuns, face_of},
 };
-use glam::{DVec3, Vec3, Vec3A};
+use glam::{DVec3, Vec3};
 use kiln_core::{Bounds, Mesh};
-use obvhs::aabb::Aabb;
 use rayon::prelude::*;
-use std::collections::HashSet;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// A mesh's occluding faces in a BVH whose leaves are triangles that are tested side by side.
 ///
@@ -30,27 +30,29 @@ pub struct MeshBvh {
 impl MeshBvh {
     /// Builds over the faces whose group occludes.
     pub fn build(mesh: &Mesh) -> Self {
-        let occluders = occluders(mesh);
-        let boxes: Vec<Aabb> = occluders
-            .par_iter()
-            .map(|o| {
-                let [a, b, c] = o.corners.map(Vec3A::from);
-                Aabb { min: a.min(b).min(c), max: a.max(b).max(c) }
+        let ids = occluders(mesh);
+        let boxes: Vec<Boxed> = (0..ids.len() as u32)
+            .into_par_iter()
+            .map(|index| {
+                let [a, b, c] = mesh.corners(face_of(ids[index as usize]) as usize);
+                Boxed::new(index, a.min(b).min(c), a.max(b).max(c))
             })
             .collect();
         let mut bounds = Bounds::EMPTY;
-        for aabb in &boxes {
-            bounds.add(Vec3::from(aabb.min).as_dvec3());
-            bounds.add(Vec3::from(aabb.max).as_dvec3());
+        if !boxes.is_empty() {
+            let hull = Boxed::around(&boxes);
+            bounds.add(hull.min().as_dvec3());
+            bounds.add(hull.max().as_dvec3());
         }
-        let tree = build(&boxes, MAX_LEAF);
+        let tree = build(boxes, MAX_LEAF);
         let leaves = tree.nodes.iter().flat_map(WideNode::slots).filter_map(|child| match child.link {
             BvhLink::Leaf { first, count } => Some((first, count)),
             BvhLink::Node(_) => None,
         });
-        let triangles = TriangleRuns::new(boxes.len(), leaves, |index| {
-            let occluder = &occluders[tree.order[index as usize] as usize];
-            (occluder.corners, occluder.primitive)
+        let triangles = TriangleRuns::new(ids.len(), leaves, |index| {
+            let id = ids[tree.order[index as usize] as usize];
+            let Occluder { corners, primitive } = Occluder::new(mesh, face_of(id), id & TWO_SIDED_BIT != 0);
+            (corners, primitive)
         });
         Self { nodes: tree.nodes.into(), triangles, bounds }
     }
@@ -89,36 +91,48 @@ pub(crate) struct Occluder {
     pub(crate) primitive: u32,
 }
 
-/// The faces that stop rays, by index; of those that coincide the first.
-pub(crate) fn occluders(mesh: &Mesh) -> Vec<Occluder> {
-    let occludes = |face: &u32| mesh.group(*face as usize).occludes;
-    let hashes: Vec<u64> = (0..mesh.faces.len() as u32)
+/// The faces that stop rays, in rising order, of those that coincide the first. With [`TWO_SIDED_BIT`].
+pub(crate) fn occluders(mesh: &Mesh) -> Vec<u32> {
+    let is_suspect = suspects(mesh);
+    let all = (0..mesh.faces.len() as u32).into_par_iter().filter(|face| mesh.group(*face as usize).occludes);
+    let merged = coincident(mesh, all.clone().filter(|face| is_suspect(*face)).collect());
+    let id = |face: u32| {
+        let is_two_sided = if is_suspect(face) {
+            let at = merged.binary_search_by_key(&face, |(face, _)| *face).ok()?;
+            merged[at].1
+        } else {
+            mesh.group(face as usize).double_sided
+        };
+        Some(face | if is_two_sided { TWO_SIDED_BIT } else { 0 })
+    };
+    all.filter_map(id).collect()
+}
+
+/// Tells the faces that may coincide with another: their corners have the same hash, of which few others have, too.
+fn suspects(mesh: &Mesh) -> impl Fn(u32) -> bool + Sync {
+    let faces = mesh.faces.len();
+    // With 16 to 32 values for each face, at most one in 16 is suspected for nothing.
+    let mask = (16 * faces).next_power_of_two().max(64) - 1;
+    let bits = || -> Vec<AtomicU64> { (0..=mask / 64).map(|_| AtomicU64::new(0)).collect() };
+    let (once, again) = (bits(), bits());
+    let hashes: Vec<u32> = (0..faces)
         .into_par_iter()
-        .filter(occludes)
-        .map(|face| hash(&corner_key(mesh.corners(face as usize)).0))
+        .map(|face| {
+            let hash = hash(&corner_key(mesh.corners(face)).0) as usize & mask;
+            let bit = 1 << (hash % 64);
+            if mesh.group(face).occludes && once[hash / 64].fetch_or(bit, Relaxed) & bit != 0 {
+                again[hash / 64].fetch_or(bit, Relaxed);
+            }
+            hash as u32
+        })
         .collect();
-    let repeated = repeated(hashes);
-    // Faces of equal corners have equal hashes, so that only those few are compared corner by corner.
-    let is_alone =
-        |face: &u32| repeated.is_empty() || !repeated.contains(&hash(&corner_key(mesh.corners(*face as usize)).0));
-    let all = (0..mesh.faces.len() as u32).into_par_iter().filter(occludes);
-    let single = |face: u32| Occluder::new(mesh, face, mesh.group(face as usize).double_sided);
-    let mut occluders: Vec<Occluder> = all.clone().filter(is_alone).map(single).collect();
-    if !repeated.is_empty() {
-        let merged = coincident(mesh, all.filter(|face| !is_alone(face)).collect());
-        occluders.extend(merged.into_iter().map(|(face, two_sided)| Occluder::new(mesh, face, two_sided)));
-        occluders.par_sort_unstable_by_key(|occluder| face_of(occluder.primitive));
+    move |face| {
+        let hash = hashes[face as usize] as usize;
+        again[hash / 64].load(Relaxed) >> (hash % 64) & 1 == 1
     }
-    occluders
 }
 
-/// The hashes that occur more than once.
-fn repeated(mut hashes: Vec<u64>) -> HashSet<u64> {
-    hashes.par_sort_unstable();
-    hashes.windows(2).filter(|pair| pair[0] == pair[1]).map(|pair| pair[0]).collect()
-}
-
-/// One face of each set of coincident ones among the given, and whether it is front from either side.
+/// One face of each set of coincident ones among the given, in rising order, and whether it is front from either side.
 fn coincident(mesh: &Mesh, faces: Vec<u32>) -> Vec<(u32, bool)> {
     let key = |face: u32| {
         let (key, is_even) = corner_key(mesh.corners(face as usize));
@@ -133,6 +147,7 @@ fn coincident(mesh: &Mesh, faces: Vec<u32>) -> Vec<(u32, bool)> {
         let is_double_sided = |&(.., face): &(_, bool, u32)| mesh.group(face as usize).double_sided;
         merged.push((first, is_facing_both || same.iter().any(is_double_sided)));
     }
+    merged.sort_unstable();
     merged
 }
 

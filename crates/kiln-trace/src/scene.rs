@@ -2,11 +2,11 @@
 
 use crate::{
     BvhChild, MeshBvh,
+    boxed::Boxed,
     build::build,
     node::{BvhLink, WideNode},
 };
-use glam::{DAffine3, DVec3, Mat3, Vec3, Vec3A};
-use obvhs::aabb::Aabb;
+use glam::{DAffine3, DVec3, Mat3, Vec3};
 use std::sync::Arc;
 
 /// Bound on the relative rounding error of a ray's way into object space and of its intersection there, in units of
@@ -67,19 +67,17 @@ impl Scene {
     /// Places meshes. Instances without occluding faces, and those whose transform flattens them, stop no ray.
     pub fn build(meshes: Vec<Arc<MeshBvh>>, objects: &[SceneObject]) -> Self {
         let instances: Vec<SceneInstance> = objects.iter().map(instance).collect();
-        let (mut boxes, mut indices) = (Vec::new(), Vec::new());
-        for (index, object) in objects.iter().enumerate() {
-            if let Some(aabb) = world_box(&meshes[object.mesh], &object.world_from_object) {
-                boxes.push(aabb);
-                indices.push(index as u32);
-            }
-        }
+        let boxed = |(index, object): (usize, &SceneObject)| {
+            let (min, max) = world_box(&meshes[object.mesh], &object.world_from_object)?;
+            Some(Boxed::new(index as u32, min, max))
+        };
+        let boxes = objects.iter().enumerate().filter_map(boxed).collect();
         // A leaf is one instance, which has a tree of its own to go down.
-        let tree = build(&boxes, 1);
+        let tree = build(boxes, 1);
         let mut nodes = tree.nodes;
         for reference in nodes.iter_mut().flat_map(|node| &mut node.children).filter(|child| **child != u32::MAX) {
             if let BvhLink::Leaf { first, count } = BvhLink::of_reference(*reference) {
-                let first = indices[tree.order[first as usize] as usize];
+                let first = tree.order[first as usize];
                 *reference = BvhLink::Leaf { first, count }.to_reference();
             }
         }
@@ -146,9 +144,9 @@ fn instance(object: &SceneObject) -> SceneInstance {
     SceneInstance { mesh: object.mesh as u32, object_from_world, is_identity }
 }
 
-/// World-space box, grown by the rounding error of rays on their way into object space. `None` for an instance that
+/// Least and greatest corner of the world-space box, grown by the rounding error of rays on their way into object space. `None` for an instance that
 /// no ray can hit.
-fn world_box(mesh: &MeshBvh, transform: &DAffine3) -> Option<Aabb> {
+fn world_box(mesh: &MeshBvh, transform: &DAffine3) -> Option<(Vec3, Vec3)> {
     let inverse = transform.inverse();
     let fits = |v: DVec3| v.is_finite() && v.abs().max_element() < f64::from(f32::MAX);
     let m = inverse.matrix3;
@@ -162,7 +160,7 @@ fn world_box(mesh: &MeshBvh, transform: &DAffine3) -> Option<Aabb> {
     let extent = mesh.extent();
     let slack = PositionError::new(transform).bound(center.abs() + half, extent.max_element());
     let (min, max) = (center - half - slack, center + half + slack);
-    (fits(min) && fits(max)).then(|| Aabb { min: Vec3A::from(min.as_vec3()), max: Vec3A::from(max.as_vec3()) })
+    (fits(min) && fits(max)).then(|| (min.as_vec3(), max.as_vec3()))
 }
 
 /// The linear part of a transform in f32, for callers that move directions.
