@@ -21,6 +21,9 @@ const BINS: usize = 16;
 const FEW_BINS: usize = 8;
 const FEW: usize = 32;
 
+/// From so many primitives on two are binned at a time, apart: neighbours are often in the same bin, and would wait for each other.
+const INTERLEAVED: usize = 512;
+
 /// More primitives than this are two tasks.
 const TASK: usize = 1 << 13;
 
@@ -219,14 +222,28 @@ impl<const N: usize> Bins<N> {
     #[inline(never)]
     fn of_piece(primitives: &[Boxed], places: &Places<N>) -> Self {
         let mut bins = Self::EMPTY;
-        for one in primitives {
-            let [x, y, z, _] = places.of_one(one).to_array().map(|place| place.to_bits() as usize % N);
-            for (axis, bin) in [x, y, z].into_iter().enumerate() {
-                bins.hulls[axis][bin] = bins.hulls[axis][bin].join(one);
-                bins.counts[axis][bin] += 1;
-            }
+        if primitives.len() < INTERLEAVED {
+            primitives.iter().for_each(|one| bins.take(one, places));
+            return bins;
         }
+        let mut others = Self::EMPTY;
+        let (low, high) = primitives.split_at(primitives.len() / 2);
+        for (one, other) in low.iter().zip(high) {
+            bins.take(one, places);
+            others.take(other, places);
+        }
+        high[low.len()..].iter().for_each(|one| bins.take(one, places));
+        bins.add(&others);
         bins
+    }
+
+    #[inline(always)]
+    fn take(&mut self, one: &Boxed, places: &Places<N>) {
+        let [x, y, z, _] = places.of_one(one).to_array().map(|place| place.to_bits() as usize % N);
+        for (axis, bin) in [x, y, z].into_iter().enumerate() {
+            self.hulls[axis][bin] = self.hulls[axis][bin].join(one);
+            self.counts[axis][bin] += 1;
+        }
     }
 
     fn add(&mut self, other: &Self) {

@@ -93,62 +93,65 @@ pub(crate) struct Occluder {
 
 /// The faces that stop rays, in rising order, of those that coincide the first. With [`TWO_SIDED_BIT`].
 pub(crate) fn occluders(mesh: &Mesh) -> Vec<u32> {
-    let is_suspect = suspects(mesh);
     let all = (0..mesh.faces.len() as u32).into_par_iter().filter(|face| mesh.group(*face as usize).occludes);
-    let merged = coincident(mesh, all.clone().filter(|face| is_suspect(*face)).collect());
-    let id = |face: u32| {
-        let is_two_sided = if is_suspect(face) {
-            let at = merged.binary_search_by_key(&face, |(face, _)| *face).ok()?;
-            merged[at].1
-        } else {
-            mesh.group(face as usize).double_sided
-        };
-        Some(face | if is_two_sided { TWO_SIDED_BIT } else { 0 })
-    };
-    all.filter_map(id).collect()
+    let is_suspect = suspects(mesh);
+    let joined = coincident(mesh, all.clone().filter(|face| is_suspect(*face)).collect());
+    let with_bit = |face: u32, is_set: bool| face | if is_set { TWO_SIDED_BIT } else { 0 };
+    let mut ids: Vec<u32> = all.map(|face| with_bit(face, mesh.group(face as usize).double_sided)).collect();
+    if !joined.is_empty() {
+        let mut joined = joined.into_iter().peekable();
+        ids.retain_mut(|id| match joined.next_if(|(face, _)| *face == face_of(*id)) {
+            Some((face, Some(is_two_sided))) => {
+                *id = with_bit(face, is_two_sided);
+                true
+            }
+            Some((_, None)) => false,
+            None => true,
+        });
+    }
+    ids
 }
 
-/// Tells the faces that may coincide with another: their corners have the same hash, of which few others have, too.
+/// Tells the faces that may coincide with another: their corners have the same hash, which few others have.
 fn suspects(mesh: &Mesh) -> impl Fn(u32) -> bool + Sync {
     let faces = mesh.faces.len();
-    // With 16 to 32 values for each face, at most one in 16 is suspected for nothing.
-    let mask = (16 * faces).next_power_of_two().max(64) - 1;
+    // With 16 to 32 values for each face, about one in 16 at most is suspected for nothing.
+    let mask = (16 * faces).next_power_of_two().clamp(1 << 6, 1 << 32) - 1;
     let bits = || -> Vec<AtomicU64> { (0..=mask / 64).map(|_| AtomicU64::new(0)).collect() };
     let (once, again) = (bits(), bits());
-    let hashes: Vec<u32> = (0..faces)
-        .into_par_iter()
-        .map(|face| {
-            let hash = hash(&corner_key(mesh.corners(face)).0) as usize & mask;
-            let bit = 1 << (hash % 64);
-            if mesh.group(face).occludes && once[hash / 64].fetch_or(bit, Relaxed) & bit != 0 {
-                again[hash / 64].fetch_or(bit, Relaxed);
-            }
-            hash as u32
-        })
-        .collect();
+    let note = |face: usize| {
+        let hash = hash(mesh.corners(face)) as usize & mask;
+        let bit = 1 << (hash % 64);
+        if mesh.group(face).occludes && once[hash / 64].fetch_or(bit, Relaxed) & bit != 0 {
+            again[hash / 64].fetch_or(bit, Relaxed);
+        }
+        hash as u32
+    };
+    let hashes: Vec<u32> = (0..faces).into_par_iter().map(note).collect();
     move |face| {
         let hash = hashes[face as usize] as usize;
         again[hash / 64].load(Relaxed) >> (hash % 64) & 1 == 1
     }
 }
 
-/// One face of each set of coincident ones among the given, in rising order, and whether it is front from either side.
-fn coincident(mesh: &Mesh, faces: Vec<u32>) -> Vec<(u32, bool)> {
+/// Those of the given faces that coincide, in rising order: whether the first of each set is front from either side,
+/// nothing for the others.
+fn coincident(mesh: &Mesh, faces: Vec<u32>) -> Vec<(u32, Option<bool>)> {
     let key = |face: u32| {
         let (key, is_even) = corner_key(mesh.corners(face as usize));
-        (key, is_even, face)
+        (key, face, is_even)
     };
     let mut keyed: Vec<_> = faces.into_iter().map(key).collect();
     keyed.sort_unstable();
-    let mut merged = Vec::new();
-    for same in keyed.chunk_by(|a, b| a.0 == b.0) {
-        let Some(first) = same.iter().map(|&(.., face)| face).min() else { continue };
-        let is_facing_both = same.iter().any(|&(_, is_even, _)| is_even != same[0].1);
-        let is_double_sided = |&(.., face): &(_, bool, u32)| mesh.group(face as usize).double_sided;
-        merged.push((first, is_facing_both || same.iter().any(is_double_sided)));
+    let mut joined = Vec::new();
+    for same in keyed.chunk_by(|a, b| a.0 == b.0).filter(|same| same.len() > 1) {
+        let is_facing_both = same.iter().any(|&(.., is_even)| is_even != same[0].2);
+        let is_two_sided = is_facing_both || same.iter().any(|&(_, face, _)| mesh.group(face as usize).double_sided);
+        let faces = same.iter().map(|&(_, face, _)| face);
+        joined.extend(faces.enumerate().map(|(rank, face)| (face, (rank == 0).then_some(is_two_sided))));
     }
-    merged.sort_unstable();
-    merged
+    joined.sort_unstable();
+    joined
 }
 
 impl Occluder {
@@ -163,11 +166,14 @@ impl Occluder {
     }
 }
 
-/// Mixes the words of a key (the multiplier is that of Knuth's linear congruential generator, MMIX).
-fn hash(key: &[[u32; 3]; 3]) -> u64 {
-    let mix = |hash: u64, word: &u32| (hash.rotate_left(23) ^ u64::from(*word)).wrapping_mul(6_364_136_223_846_793_005);
-    let hash = key.iter().flatten().fold(0, mix);
-    hash ^ hash >> 32
+/// The same in whatever order the corners are (the multiplier is that of Knuth's linear congruential generator, MMIX).
+fn hash(corners: [Vec3; 3]) -> u64 {
+    const MULTIPLIER: u64 = 6_364_136_223_846_793_005;
+    let mix = |hash: u64, word: f32| (hash.rotate_left(23) ^ u64::from(word.to_bits())).wrapping_mul(MULTIPLIER);
+    let folded = |hash: u64| hash ^ hash >> 32;
+    let one = |corner: Vec3| folded((corner + 0.0).to_array().into_iter().fold(0, mix));
+    let [a, b, c] = corners.map(one);
+    folded(a.wrapping_add(b).wrapping_add(c).wrapping_mul(MULTIPLIER))
 }
 
 /// The corners' bits in an order that does not depend on the winding, and whether that order is an even
