@@ -57,7 +57,8 @@ impl CpuTracer {
     /// Traces rays on all threads.
     fn run_all<A: Answer + Send>(&self, rays: &[Ray], answers: &mut [A]) {
         let chunks = rays.par_chunks(RAYS_PER_TASK).zip(answers.par_chunks_mut(RAYS_PER_TASK));
-        chunks.for_each(|(rays, answers)| self.run(rays, answers));
+        // Each chunk is a task of its own: left to itself rayon makes few tasks, and threads wait for the longest.
+        chunks.with_max_len(1).for_each(|(rays, answers)| self.run(rays, answers));
     }
 }
 
@@ -71,7 +72,7 @@ impl Tracer for CpuTracer {
     ) -> Result<(), TraceError> {
         let scene = &*self.scene;
         let chunks = samples.par_chunks(SAMPLES_PER_TASK).zip(sums.par_chunks_mut(SAMPLES_PER_TASK));
-        chunks.for_each(|(samples, sums)| {
+        chunks.with_max_len(1).for_each(|(samples, sums)| {
             WORKSPACE.with_borrow_mut(|workspace| {
                 self.path.run(Gather { scene, kernel, rays_per_sample, samples, sums, workspace });
             });

@@ -216,7 +216,8 @@ impl<'a> Course<'a> {
             Ok(tally)
         };
         let (tallies, cost) = timed(pool, || {
-            let tasks = self.points.par_chunks(POINTS_PER_TASK);
+            // Each is a task of its own: how long one takes varies with where its points are.
+            let tasks = self.points.par_chunks(POINTS_PER_TASK).with_max_len(1);
             tasks.map_init(|| (Vec::new(), Vec::new()), task).collect::<Result<Vec<Tally>, TraceError>>()
         })?;
         Ok((Tally::sum(tallies), cost))
@@ -226,7 +227,7 @@ impl<'a> Course<'a> {
         let mut sums = vec![CosineSums::default(); self.samples.len()];
         let (width, tracer) = (if self.is_cpu { POINTS_PER_TASK } else { usize::MAX }, self.tracer);
         let ((), cost) = timed(pool, || {
-            let calls = self.samples.par_chunks(width).zip(sums.par_chunks_mut(width));
+            let calls = self.samples.par_chunks(width).zip(sums.par_chunks_mut(width)).with_max_len(1);
             calls.try_for_each(|(samples, sums)| tracer.gather_cosine(samples, &self.kernel, rays, sums))
         })?;
         let traced = sums.iter().map(|sum| sum.rays as usize).sum();
