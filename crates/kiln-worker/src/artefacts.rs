@@ -31,6 +31,11 @@ pub trait Artefacts: Send + Sync + 'static {
     /// Several artefacts, in the order asked for.
     fn get_many(&self, digests: &[Digest]) -> Result<Vec<Bytes>, ArtefactError>;
 
+    /// Several artefacts that nobody here will want again, in the order asked for.
+    fn get_once(&self, digests: &[Digest]) -> Result<Vec<Bytes>, ArtefactError> {
+        self.get_many(digests)
+    }
+
     /// Stores artefacts together; durable on return. Their digests are returned in order.
     fn store(&self, artefacts: Vec<Bytes>) -> Result<Vec<Digest>, ArtefactError>;
 
@@ -98,17 +103,12 @@ impl RemoteArtefacts {
         }
     }
 
-    fn keep(&self, digests: &[Digest], artefacts: &[Bytes]) -> Result<(), ArtefactError> {
-        let mut recent = self.recent();
-        digests.iter().zip(artefacts).for_each(|(digest, artefact)| recent.add(*digest, artefact));
-        drop(recent);
-        self.cache.put(artefacts)?;
-        Ok(self.local.trim()?)
-    }
-}
-
-impl Artefacts for RemoteArtefacts {
-    fn get_many(&self, digests: &[Digest]) -> Result<Vec<Bytes>, ArtefactError> {
+    /// Artefacts in the order asked for; those that had to be downloaded are shown to `keep`.
+    fn have(
+        &self,
+        digests: &[Digest],
+        keep: impl FnOnce(&[Digest], &[Bytes]) -> Result<(), ArtefactError>,
+    ) -> Result<Vec<Bytes>, ArtefactError> {
         let mut found = Vec::with_capacity(digests.len());
         for digest in digests {
             found.push(self.find(digest)?);
@@ -120,11 +120,29 @@ impl Artefacts for RemoteArtefacts {
                 ClientError::Missing { digest } => ArtefactError::Missing { digest },
                 other => ArtefactError::Farm(other),
             })?;
-            self.keep(&absent, &downloaded)?;
+            keep(&absent, &downloaded)?;
             let mut downloaded = downloaded.into_iter();
             found.iter_mut().filter(|bytes| bytes.is_none()).for_each(|bytes| *bytes = downloaded.next());
         }
         found.into_iter().zip(digests).map(|(bytes, &digest)| bytes.ok_or(ArtefactError::Missing { digest })).collect()
+    }
+
+    fn keep(&self, digests: &[Digest], artefacts: &[Bytes]) -> Result<(), ArtefactError> {
+        let mut recent = self.recent();
+        digests.iter().zip(artefacts).for_each(|(digest, artefact)| recent.add(*digest, artefact));
+        drop(recent);
+        self.cache.put(artefacts)?;
+        Ok(self.local.trim()?)
+    }
+}
+
+impl Artefacts for RemoteArtefacts {
+    fn get_many(&self, digests: &[Digest]) -> Result<Vec<Bytes>, ArtefactError> {
+        self.have(digests, |absent, downloaded| self.keep(absent, downloaded))
+    }
+
+    fn get_once(&self, digests: &[Digest]) -> Result<Vec<Bytes>, ArtefactError> {
+        self.have(digests, |_, _| Ok(()))
     }
 
     fn store(&self, artefacts: Vec<Bytes>) -> Result<Vec<Digest>, ArtefactError> {

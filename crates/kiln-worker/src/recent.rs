@@ -15,7 +15,7 @@ pub(crate) struct Recent {
 
 impl Recent {
     /// Most bytes of all together.
-    const CAPACITY_BYTES: usize = 128 << 20;
+    const CAPACITY_BYTES: usize = 256 << 20;
 
     /// Largest artefact that is small.
     pub(crate) const SMALL_BYTES: usize = 1 << 20;

@@ -51,7 +51,7 @@ fn load_solutions(list: Digest, artefacts: &dyn Artefacts) -> Result<(Vec<u32>, 
     let list: Vec<(u32, Digest)> = codec::decode("a list of solutions", &artefacts.get(list)?)?;
     let (indices, digests): (Vec<u32>, Vec<Digest>) = list.into_iter().unzip();
     let decode = |bytes: &Bytes| Ok(codec::decode("a solution", bytes)?);
-    let solutions: Result<_, TaskError> = artefacts.get_many(&digests)?.par_iter().map(decode).collect();
+    let solutions: Result<_, TaskError> = artefacts.get_once(&digests)?.par_iter().map(decode).collect();
     Ok((indices, solutions?))
 }
 

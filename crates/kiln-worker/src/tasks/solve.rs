@@ -15,7 +15,7 @@ pub(super) fn run(
     let failed = |reason: String| TaskError::Failed { reason: format!("{}: {reason}", placed.name) };
     let channels = level.level.sampling.kernel.channel_count();
     let mut whole = FaceMoments::new(channels);
-    for bytes in artefacts.get_many(moments)? {
+    for bytes in artefacts.get_once(moments)? {
         let piece = FaceMoments::from_bytes(&bytes).map_err(|error| failed(error.to_string()))?;
         if piece.channel_count() != channels {
             return Err(failed(format!("{} channels in its moments, {channels} in the level", piece.channel_count())));
