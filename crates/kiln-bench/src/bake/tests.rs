@@ -107,7 +107,7 @@ fn tables_say_what_was_found() {
         "| Total | 50.00 | 99.00 | 100.0 % | 78 |",
         "Region for dynamic AO, 332,741 points: not done by Kiln yet |  |  |  | 9.2 |",
         "- 50.0 s; under 78 s holds",
-        "at most 10 % does not hold",
+        "at most 10 % holds (with import, building, export and idling",
         "- threads busy 99.0 %; at least 90 % holds",
         "| one process, 2 threads | 49.00 (49.00–49.00) | 1024 (1024–1024) | 2.100 (2.000–2.200) |  | yes |",
         "| 1.050 (1.000–1.100) | NO |",
