@@ -109,7 +109,7 @@ impl Item {
     fn opened(self, source: &impl SourceTree) -> Vec<Self> {
         match self.content {
             Content::Node(children) => children.iter().map(|child| Self::new(source, child)).collect(),
-            Content::Run(things) => halves(source, things, self.min, self.max),
+            Content::Run(things) => parts(source, &things, self.min, self.max),
         }
     }
 }
@@ -119,8 +119,9 @@ fn most<S: SourceTree>(_: &S) -> usize {
     if S::LEAVES_HAVE_RECORDS { 1 } else { MAX_RUN }
 }
 
-/// Parts a run at the median of its widest axis. Boxes stay within the run's own, which may have been clipped.
-fn halves(source: &impl SourceTree, mut things: Vec<u32>, min: Vec3, max: Vec3) -> Vec<Item> {
+/// Parts a run where it costs least: over all axes, things in the order of their centers, area by number. Boxes stay within
+/// the run's own, which may have been clipped.
+fn parts(source: &impl SourceTree, things: &[u32], min: Vec3, max: Vec3) -> Vec<Item> {
     let clipped = |thing: u32| {
         let (low, high) = source.bounds(thing);
         (low.clamp(min, max), high.clamp(min, max))
@@ -129,20 +130,23 @@ fn halves(source: &impl SourceTree, mut things: Vec<u32>, min: Vec3, max: Vec3) 
         let boxes = things.iter().map(|&thing| clipped(thing));
         boxes.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |all, one| (all.0.min(one.0), all.1.max(one.1)))
     };
+    let item = |things: &[u32]| {
+        let (min, max) = union(things);
+        Item { min, max, content: Content::Run(things.to_vec()) }
+    };
+    let cost = |things: &[u32]| item(things).area() * things.len() as f32;
     let center = |thing: u32| {
         let (low, high) = clipped(thing);
         0.5 * low + 0.5 * high
     };
-    let least = things.iter().fold(Vec3::INFINITY, |all, &thing| all.min(center(thing)));
-    let greatest = things.iter().fold(Vec3::NEG_INFINITY, |all, &thing| all.max(center(thing)));
-    let axis = (greatest - least).max_position();
-    things.sort_by(|&a, &b| center(a)[axis].total_cmp(&center(b)[axis]).then(a.cmp(&b)));
-    let later = things.split_off(things.len() / 2);
-    let item = |things: Vec<u32>| {
-        let (min, max) = union(&things);
-        Item { min, max, content: Content::Run(things) }
-    };
-    [things, later].into_iter().filter(|things| !things.is_empty()).map(item).collect()
+    let sorted = [0, 1, 2].map(|axis| {
+        let mut things = things.to_vec();
+        things.sort_by(|&a, &b| center(a)[axis].total_cmp(&center(b)[axis]).then(a.cmp(&b)));
+        things
+    });
+    let ways = sorted.iter().flat_map(|things| (1..things.len()).map(move |at| things.split_at(at)));
+    let cheapest = ways.min_by(|a, b| (cost(a.0) + cost(a.1)).total_cmp(&(cost(b.0) + cost(b.1))));
+    cheapest.map_or_else(|| vec![item(things)], |(left, right)| vec![item(left), item(right)])
 }
 
 /// Opens items while there are slots: nodes first, then runs.
