@@ -93,8 +93,7 @@ impl Item {
 
     /// Half its surface.
     fn area(&self) -> f32 {
-        let size = self.max - self.min;
-        size.x * size.y + size.y * size.z + size.z * size.x
+        area((self.min, self.max))
     }
 
     /// Slots that it would take if it were opened.
@@ -122,31 +121,43 @@ fn most<S: SourceTree>(_: &S) -> usize {
 /// Parts a run where it costs least: over all axes, things in the order of their centers, area by number. Boxes stay within
 /// the run's own, which may have been clipped.
 fn parts(source: &impl SourceTree, things: &[u32], min: Vec3, max: Vec3) -> Vec<Item> {
-    let clipped = |thing: u32| {
+    let clipped = |&thing: &u32| {
         let (low, high) = source.bounds(thing);
-        (low.clamp(min, max), high.clamp(min, max))
+        Boxed { thing, min: low.clamp(min, max), max: high.clamp(min, max) }
     };
-    let union = |things: &[u32]| {
-        let boxes = things.iter().map(|&thing| clipped(thing));
-        boxes.fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |all, one| (all.0.min(one.0), all.1.max(one.1)))
-    };
-    let item = |things: &[u32]| {
-        let (min, max) = union(things);
-        Item { min, max, content: Content::Run(things.to_vec()) }
-    };
-    let cost = |things: &[u32]| item(things).area() * things.len() as f32;
-    let center = |thing: u32| {
-        let (low, high) = clipped(thing);
-        0.5 * low + 0.5 * high
-    };
+    let boxes: Vec<Boxed> = things.iter().map(clipped).collect();
     let sorted = [0, 1, 2].map(|axis| {
-        let mut things = things.to_vec();
-        things.sort_by(|&a, &b| center(a)[axis].total_cmp(&center(b)[axis]).then(a.cmp(&b)));
-        things
+        let mut boxes = boxes.clone();
+        let center = |one: &Boxed| 0.5 * one.min[axis] + 0.5 * one.max[axis];
+        boxes.sort_by(|a, b| center(a).total_cmp(&center(b)).then(a.thing.cmp(&b.thing)));
+        boxes
     });
-    let ways = sorted.iter().flat_map(|things| (1..things.len()).map(move |at| things.split_at(at)));
-    let cheapest = ways.min_by(|a, b| (cost(a.0) + cost(a.1)).total_cmp(&(cost(b.0) + cost(b.1))));
-    cheapest.map_or_else(|| vec![item(things)], |(left, right)| vec![item(left), item(right)])
+    let cost = |boxes: &[Boxed]| area(union(boxes)) * boxes.len() as f32;
+    let ways = sorted.iter().flat_map(|boxes| (1..boxes.len()).map(move |at| boxes.split_at(at)));
+    let cheapest = ways.map(|way| (cost(way.0) + cost(way.1), way)).min_by(|a, b| a.0.total_cmp(&b.0));
+    let item = |boxes: &[Boxed]| {
+        let (min, max) = union(boxes);
+        Item { min, max, content: Content::Run(boxes.iter().map(|one| one.thing).collect()) }
+    };
+    cheapest.map_or_else(|| vec![item(&boxes)], |(_, (left, right))| vec![item(left), item(right)])
+}
+
+/// A thing of a run and its box.
+#[derive(Clone, Copy)]
+struct Boxed {
+    thing: u32,
+    min: Vec3,
+    max: Vec3,
+}
+
+fn union(boxes: &[Boxed]) -> (Vec3, Vec3) {
+    boxes.iter().fold((Vec3::INFINITY, Vec3::NEG_INFINITY), |all, one| (all.0.min(one.min), all.1.max(one.max)))
+}
+
+/// Half a box's surface.
+fn area((min, max): (Vec3, Vec3)) -> f32 {
+    let size = max - min;
+    size.x * size.y + size.y * size.z + size.z * size.x
 }
 
 /// Opens items while there are slots: nodes first, then runs.

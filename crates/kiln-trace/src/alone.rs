@@ -182,7 +182,9 @@ impl<L: Leaves, const ANY: bool> Kernel for Walk<'_, L, ANY> {
                     current = nearest.reference;
                     continue;
                 }
-            } else if let BvhLink::Leaf { first, count } = BvhLink::of_reference(current) {
+            } else if let (true, BvhLink::Leaf { first, count }) = (current != u32::MAX, BvhLink::of_reference(current))
+            {
+                // A ray that is not finite seems to enter what is not there.
                 leaves.visit::<V, ANY>(first, count, ray, best, stack, top);
                 if ANY && best.instance != u32::MAX {
                     return;

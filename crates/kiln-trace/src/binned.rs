@@ -44,13 +44,12 @@ const KEPT_WEIGHTS: usize = 256;
 
 /// Builds the inner nodes of a binary tree in preorder, whose leaves are runs of at most `max_leaf` primitives, and
 /// brings the primitives into the order of the leaves.
-pub(crate) fn grow(primitives: &mut [Boxed], max_leaf: usize) -> Vec<Inner> {
+pub(crate) fn grow(primitives: &mut [Boxed], hull: Boxed, max_leaf: usize) -> Vec<Inner> {
     let mut kept_weights = [0.0; KEPT_WEIGHTS];
     kept_weights.iter_mut().enumerate().for_each(|(leaves, weight)| *weight = power(leaves as f32));
     // Twice the levels of a balanced tree and some; sets below are halved.
     let levels = 2 * primitives.len().max(1).ilog2() + 16;
     let mut nodes = Vec::new();
-    let hull = Boxed::around(primitives);
     Grower { max_leaf, kept_weights }.subtree(primitives, hull, levels, &mut nodes);
     nodes
 }

@@ -21,8 +21,9 @@ pub(crate) fn build(mut boxes: Vec<Boxed>, max_leaf: usize) -> WideTree {
     if boxes.is_empty() {
         return WideTree::default();
     }
-    if Boxed::around(&boxes).extent() < MAX_EXTENT {
-        let nodes = grow(&mut boxes, max_leaf);
+    let hull = Boxed::around(&boxes);
+    if hull.extent() < MAX_EXTENT {
+        let nodes = grow(&mut boxes, hull, max_leaf);
         let tree = collapse(&nodes, &boxes, max_leaf);
         if tree.depth <= MAX_DEPTH {
             return tree;

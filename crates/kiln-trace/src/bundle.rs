@@ -1,15 +1,15 @@
 //! Up to 64 rays through one tree together.
 //!
-//! A node is fetched once for all rays that enter it, and each of them tests its eight boxes at once. Rays that start near
+//! A node is fetched once for all rays that enter it, and its boxes are tested against eight of them at once. Rays that start near
 //! each other (one sample's, or those of neighbouring samples) share the upper levels, which is most of their way, and there
 //! the loop over rays is free of branches that depend on data: what a ray alone spends most of its time on is waiting
 //! for the node and for mispredicted branches. Where few rays are left, each goes on [alone](crate::alone).
 //!
 //! Sources: Barringer and Akenine-Möller 2014, "Dynamic ray stream traversal" (rays sorted into streams on the way down),
 //! Fuetterling et al. 2015, "Efficient ray tracing kernels for modern CPU architectures" (masks of rays and distances that
-//! are kept). Deviation: a stream is a mask of 64 bits, made from bytes of eight boxes each by a transposition, so that rays
-//! are never copied; a child's turn is by the first ray that enters it, its rays are tested again by the distances that
-//! were kept when its turn comes.
+//! are kept). Deviation: a stream is a mask of 64 bits, so that rays are never copied. Where few rays are left of each group
+//! of eight, each is tested against the eight boxes instead, and the bytes that come of it are transposed. A child's turn is
+//! by the first ray that enters it; when it comes, its rays are tested again by the distances that were kept.
 //!
 //! The order of visits changes no result: see [`crate::triangle`], `HIT_SLACK` in [`crate::ray`] and the tie rule.
 
@@ -350,6 +350,10 @@ fn enter_by_ray<V: Lanes, const SHARED: bool>(entering: Entering, memory: &mut M
     nearest.store(&mut near);
     let mut top = bottom;
     for (slot, (&near, &reference)) in near.iter().zip(&node.children).enumerate() {
+        // A ray that is not finite seems to enter what is not there.
+        if reference == u32::MAX {
+            break;
+        }
         let mask = V::column(&entered, slot as u32);
         if mask != 0 {
             let child = Waiting { mask, reference, slot: slot as u8, is_by_ray: true, depth: depth as u8, near };

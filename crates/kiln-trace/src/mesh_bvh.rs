@@ -38,13 +38,12 @@ impl MeshBvh {
                 Boxed::new(index, a.min(b).min(c), a.max(b).max(c))
             })
             .collect();
-        let mut bounds = Bounds::EMPTY;
-        if !boxes.is_empty() {
-            let hull = Boxed::around(&boxes);
-            bounds.add(hull.min().as_dvec3());
-            bounds.add(hull.max().as_dvec3());
-        }
         let tree = build(boxes, MAX_LEAF);
+        let mut bounds = Bounds::EMPTY;
+        for child in tree.nodes.first().into_iter().flat_map(WideNode::slots) {
+            bounds.add(child.min.as_dvec3());
+            bounds.add(child.max.as_dvec3());
+        }
         let leaves = tree.nodes.iter().flat_map(WideNode::slots).filter_map(|child| match child.link {
             BvhLink::Leaf { first, count } => Some((first, count)),
             BvhLink::Node(_) => None,

@@ -420,3 +420,30 @@ fn open_sky_is_found_and_agrees_with_rays() {
     assert!(!open(&[identity(0), up(20.0)], p, 50.0));
     assert!(open(&[], p, 50.0));
 }
+
+/// Rays that are not finite, in world or object space, hit nothing that would not be there, in bundles, groups and alone.
+#[test]
+fn rays_that_are_not_finite_are_survived() {
+    let faces: Vec<[Vec3; 3]> = (0..7).flat_map(|i| cube(0.1 + 0.2 * i as f32, false)).collect();
+    let tiny = DAffine3::from_scale(DVec3::splat(1e-37));
+    let place = |world_from_object: DAffine3| SceneObject { mesh: 0, world_from_object };
+    let objects = [place(DAffine3::IDENTITY), place(tiny), place(DAffine3::from_translation(DVec3::X * 3.0))];
+    let fast = tracer(&[mesh(&faces)], &objects);
+    let portable = CpuTracer::with_path(fast.scene().clone(), Path::Portable);
+    let odd = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN, 0.0, 1.0];
+    let vectors: Vec<Vec3> = odd.iter().flat_map(|&x| odd.map(|y| Vec3::new(x, y, 1.0))).collect();
+    let ray = |origin: Vec3, direction: Vec3| Ray { origin, direction, t_max: f32::INFINITY };
+    let mut rays: Vec<Ray> =
+        vectors.iter().flat_map(|v| [ray(*v, Vec3::X), ray(Vec3::ZERO, *v), ray(*v, *v)]).collect();
+    // One of them among many that are finite, and many from one origin.
+    rays.extend((0..63).map(|i| ray(Vec3::splat(0.01 * i as f32), Vec3::ONE)));
+    rays.extend(vectors.iter().map(|v| ray(Vec3::NAN, *v)));
+    for tracer in [&fast, &portable] {
+        let mut hits = vec![Hit::MISS; rays.len()];
+        tracer.trace(&rays, &mut hits).unwrap();
+        tracer.any_hit(&rays, &mut vec![false; rays.len()]).unwrap();
+        let alone: Vec<Hit> = rays.iter().map(|ray| tracer.closest_hit(ray)).collect();
+        assert!(hits.iter().chain(&alone).all(|hit| !hit.is_hit() || hit.t > 0.0));
+        assert!(hits.iter().zip(&rays).all(|(hit, ray)| !hit.is_hit() || !ray.origin.is_nan()));
+    }
+}
