@@ -5,7 +5,7 @@ use crate::{
     lanes::Lanes,
     node::{BvhLink, LEAF_BIT, MAX_STACK, WideNode},
     path::{Compiled, Kernel},
-    ray::{FARTHEST, HIT_SLACK, TracedRay, WIDEN},
+    ray::{FARTHEST, HIT_SLACK, TracedRay, WIDEN, narrow},
     triangle::{FLIPPED_BIT, TWO_SIDED_BIT, TriangleWords, entry, face_of},
 };
 
@@ -124,16 +124,13 @@ pub(crate) fn precedes(hit: &Hit, best: &Hit) -> bool {
 /// Entry distance of each child's box, and the children that are entered up to `t_max`, times [`HIT_SLACK`].
 #[inline(always)]
 fn enter<V: Lanes>(node: &WideNode, ray: &TracedRay, t_max: f32) -> ([f32; 8], u32) {
-    let mut near = V::splat(0.0);
-    let mut far = V::splat(FARTHEST);
+    let mut part = [V::splat(0.0), V::splat(FARTHEST)];
     for axis in 0..3 {
-        let (origin, inverse) = (V::splat(ray.origin[axis]), V::splat(ray.inverse[axis]));
-        let low = V::load(&node.bounds[axis]).sub(origin).mul(inverse);
-        let high = V::load(&node.bounds[axis + 3]).sub(origin).mul(inverse);
-        // The nearer plane is the one that the direction's sign tells, since roundings are monotonic.
-        near = low.min(high).max(near);
-        far = low.max(high).min(far);
+        let origin = V::splat(ray.origin[axis]);
+        let (low, high) = (V::load(&node.bounds[axis]).sub(origin), V::load(&node.bounds[axis + 3]).sub(origin));
+        part = narrow(part, [low, high], V::splat(ray.inverse[axis]));
     }
+    let [near, far] = part;
     let far = far.mul(V::splat(WIDEN)).min(V::splat(t_max * HIT_SLACK));
     let mut distances = [0.0; 8];
     near.store(&mut distances);

@@ -18,7 +18,7 @@ use crate::{
     lanes::Lanes,
     node::{BvhLink, LEAF_BIT, MAX_DEPTH, MAX_STACK, WideNode},
     path::{Compiled, Kernel},
-    ray::{FARTHEST, HIT_SLACK, WIDEN},
+    ray::{FARTHEST, HIT_SLACK, WIDEN, narrow},
     rays::{BUNDLE, Column, GROUP, Rays, row},
 };
 
@@ -279,7 +279,7 @@ fn enter_by_group<V: Lanes, const SHARED: bool>(entering: Entering, memory: &mut
             if in_group(mask, group) == 0 {
                 continue;
             }
-            let (mut near, mut far) = (V::splat(0.0), V::splat(FARTHEST));
+            let mut part = [V::splat(0.0), V::splat(FARTHEST)];
             for axis in 0..3 {
                 let inverse = V::load(rays.inverse[axis].group(group));
                 let (mut low, mut high) = (planes[axis], planes[axis + 3]);
@@ -287,11 +287,9 @@ fn enter_by_group<V: Lanes, const SHARED: bool>(entering: Entering, memory: &mut
                     let origin = V::load(rays.origin[axis].group(group));
                     (low, high) = (low.sub(origin), high.sub(origin));
                 }
-                // The nearer plane is the one that the direction's sign tells, since roundings are monotonic.
-                let (low, high) = (low.mul(inverse), high.mul(inverse));
-                near = low.min(high).max(near);
-                far = low.max(high).min(far);
+                part = narrow(part, [low, high], inverse);
             }
+            let [near, far] = part;
             let reach = V::load(hits.reach.group(group));
             let is_entered = near.le(far.mul(V::splat(WIDEN)).min(reach));
             near.store(distances.group_mut(group));
@@ -328,8 +326,7 @@ fn enter_by_ray<V: Lanes, const SHARED: bool>(entering: Entering, memory: &mut M
     while rest != 0 {
         let ray = rest.trailing_zeros() as usize % BUNDLE;
         rest &= rest - 1;
-        let mut near = V::splat(0.0);
-        let mut far = V::splat(FARTHEST);
+        let mut part = [V::splat(0.0), V::splat(FARTHEST)];
         for axis in 0..3 {
             let inverse = V::splat(rays.inverse[axis].get(ray));
             let (mut low, mut high) = (planes[axis], planes[axis + 3]);
@@ -337,10 +334,9 @@ fn enter_by_ray<V: Lanes, const SHARED: bool>(entering: Entering, memory: &mut M
                 let origin = V::splat(rays.origin[axis].get(ray));
                 (low, high) = (low.sub(origin), high.sub(origin));
             }
-            let (low, high) = (low.mul(inverse), high.mul(inverse));
-            near = low.min(high).max(near);
-            far = low.max(high).min(far);
+            part = narrow(part, [low, high], inverse);
         }
+        let [near, far] = part;
         let is_entered = near.le(far.mul(V::splat(WIDEN)).min(V::splat(hits.reach.get(ray))));
         near.store(memory.distances[depth].of_ray(ray));
         entered[ray] = V::bits(is_entered) as u8;

@@ -1,5 +1,6 @@
 //! A ray in the forms that boxes and triangles are tested with.
 
+use crate::lanes::Lanes;
 use glam::Vec3;
 
 /// Widens a far distance beyond the rounding error of the slab test, 1 + 2γ₃ and a little more (Ize 2013, "Robust BVH ray
@@ -23,6 +24,15 @@ pub(crate) struct TracedRay {
     pub(crate) direction: [f32; 3],
     /// One over the direction.
     pub(crate) inverse: [f32; 3],
+}
+
+/// The part of rays that lies in boxes, from near to far, less what is not between the planes of one axis, which are relative
+/// to the origins.
+#[inline(always)]
+pub(crate) fn narrow<V: Lanes>([near, far]: [V; 2], [low, high]: [V; 2], inverse: V) -> [V; 2] {
+    // The nearer plane is the one that the direction's sign tells, since roundings are monotonic.
+    let (low, high) = (low.mul(inverse), high.mul(inverse));
+    [low.min(high).max(near), low.max(high).min(far)]
 }
 
 /// One over a coordinate of a direction, finite.
