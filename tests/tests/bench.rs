@@ -10,7 +10,7 @@ fn bakes_are_measured_in_processes_of_their_own() {
     let out = ["--reference", "crate_0", "--markdown-out", "table.md", "--json-out", "table.json"];
     let printed = place.succeed(&[&line[..], &out].concat());
     for expected in
-        ["| BVH build |", "| coordinator and worker, 2 threads |", "threads busy", "Against `--quality reference`"]
+        ["| BVH build,", "| coordinator and worker, 2 threads |", "threads busy", "Against `--quality reference`"]
     {
         assert!(printed.contains(expected), "{expected} in {printed}");
     }

@@ -97,6 +97,7 @@ mod tests {
             max_samples_per_face: max,
             back_face_limit: 0.25,
             seed: 0,
+            foliage: kiln_core::FoliageMode::default(),
             ground_plane_y_m: None,
             no_skip: std::collections::BTreeSet::new(),
         }

@@ -3,17 +3,30 @@
 //! [`trace_piece`] is the whole of a trace task: it makes the samples of a run of faces (`samples`), leaves out
 //! those that need no ray, gathers the rest and sums what comes back into moments. [`density`] and [`sample_count`]
 //! say how many samples a face gets, for the plan. [`probe`] gathers at given points.
+//! [`read_decorators`] and [`resample_lod`] read a finished bake again (`resample`).
+//! say how many samples a face gets, for the plan. [`probe`] gathers at given points. [`volume`] is what is visible from
+//! points around trees, on a sparse lattice.
 
 mod density;
+mod foliage;
+mod model;
 mod noise;
 mod piece;
 mod probe;
+mod resample;
 mod rounds;
 mod samples;
 mod scramble;
 mod seen;
+pub mod volume;
 
 pub use density::{FaceAreas, density, sample_count};
+pub use foliage::{ModelDensity, ModelFog, OrientedBox, model_fog, place_fog, thinned};
+pub use model::{ModelPoint, model_points, values_in_volume};
 pub use piece::{Piece, trace_piece};
 pub use probe::{ProbePoint, ProbeResult, probe};
+pub use resample::{
+    BakedError, BakedInstance, BakedPoint, BakedSurface, Decorator, DecoratorScalar, DecoratorSettings, VertexReadings,
+    lod_sampling, read_at_vertices, read_decorators, resample_lod,
+};
 pub use seen::seen_bounds;

@@ -6,13 +6,13 @@ use crate::{
     samples::{Batch, Position, SampleMaker},
 };
 use glam::{DAffine3, Vec3};
-use kiln_core::{Bounds, FaceMoments, HalfMoments, Mesh, Sampling, SkipRule, TraceSummary};
+use kiln_core::{Bounds, FaceMoments, HalfMoments, MAX_CHANNELS, Mesh, Sampling, SkipRule, TraceSummary};
 use kiln_trace::{CosineSums, KernelRates, Scene, SurfaceSample, TraceError, Tracer, is_open_above, open_sums};
 use rayon::prelude::*;
 use std::{borrow::Cow, ops::Range};
 
 /// Faces whose positions one task makes.
-const FACES_PER_BATCH: usize = 256;
+pub(crate) const FACES_PER_BATCH: usize = 256;
 
 /// One of so many samples is asked first whether it is open.
 const PROBE_STEP: usize = 16;
@@ -53,7 +53,7 @@ pub fn trace_piece(tracer: &dyn Tracer, scene: &Scene, piece: &Piece<'_>) -> Res
 
 impl Piece<'_> {
     /// Samples of each half of each face to begin with.
-    fn first_counts(&self) -> Vec<[u32; 2]> {
+    pub(crate) fn first_counts(&self) -> Vec<[u32; 2]> {
         let count = |face: usize| {
             let area = receiving_area_m2(self.mesh, self.world_from_object, face);
             let cap = self.mesh.group(face).max_samples_per_face;
@@ -176,7 +176,7 @@ impl<'a> Sampler<'a> {
     }
 }
 
-/// Adds the mean of a position's valid sides to its half's moments.
+/// Adds what gathering found at a position to its half's moments.
 fn add_position(
     half: &mut HalfMoments,
     position: &Position,
@@ -185,21 +185,32 @@ fn add_position(
     sampling: &Sampling,
     summary: &mut TraceSummary,
 ) {
-    let (mut values, mut valid) = ([0.0; 4], 0);
-    for sums in sides {
-        if sums.rays == 0 || sums.back_face_fraction() > sampling.back_face_limit {
-            summary.invalid += 1;
+    let is_valid = |sums: &CosineSums| sums.rays > 0 && sums.back_face_fraction() <= sampling.back_face_limit;
+    let values = |sums: &CosineSums| is_valid(sums).then(|| std::array::from_fn(|channel| sums.ao(channel)));
+    summary.invalid += add_sides(half, position, sides.iter().map(values), kernel.channels);
+}
+
+/// Adds the mean of a position's valid sides to its half's moments, and gives the number of those that are not valid.
+pub(crate) fn add_sides(
+    half: &mut HalfMoments,
+    position: &Position,
+    sides: impl Iterator<Item = Option<[f64; MAX_CHANNELS]>>,
+    channels: usize,
+) -> u64 {
+    let (mut sum, mut valid, mut invalid) = ([0.0; MAX_CHANNELS], 0, 0);
+    for side in sides {
+        let Some(values) = side else {
+            invalid += 1;
             continue;
-        }
+        };
         valid += 1;
-        for (channel, value) in values.iter_mut().enumerate().take(kernel.channels) {
-            *value += sums.ao(channel);
-        }
+        sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
     }
     if valid == 0 {
         half.add_invalid();
-        return;
+    } else {
+        let mean = sum.map(|sum| sum / f64::from(valid));
+        half.add(position.phi, &mean[..channels]);
     }
-    let values = values.map(|value| value / f64::from(valid));
-    half.add(position.phi, &values[..kernel.channels]);
+    invalid
 }

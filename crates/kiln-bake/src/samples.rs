@@ -38,16 +38,13 @@ pub(crate) struct Position {
 
 impl<'a> SampleMaker<'a> {
     pub(crate) fn new(mesh: &'a Mesh, world_from_object: &'a DAffine3, seed: u64, rays_per_sample: u32) -> Self {
-        let m = world_from_object.matrix3;
-        let orientation = if m.determinant() < 0.0 { -1.0 } else { 1.0 };
-        // The cofactor matrix, det · inverse transpose, exists for every transform.
-        let cofactor = DMat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis));
+        let orientation = orientation(world_from_object);
         let error = PositionError::new(world_from_object);
         let key = InstanceKey::new(world_from_object, seed);
         Self {
             mesh,
             world_from_object,
-            normal_matrix: cofactor * orientation,
+            normal_matrix: normal_matrix(world_from_object),
             orientation,
             error,
             key,
@@ -102,6 +99,19 @@ impl<'a> SampleMaker<'a> {
         let normals = self.mesh.faces[face].map(|v| Vec3::from_array(self.mesh.normals[v as usize]).as_dvec3());
         (!normals.contains(&DVec3::ZERO)).then(|| normals.map(|normal| self.normal_matrix * normal))
     }
+}
+
+/// −1 for a mirroring transform, else 1.
+fn orientation(world_from_object: &DAffine3) -> f64 {
+    if world_from_object.matrix3.determinant() < 0.0 { -1.0 } else { 1.0 }
+}
+
+/// Takes object-space normals of fronts to world space, up to length, whether the transform mirrors or not.
+pub(crate) fn normal_matrix(world_from_object: &DAffine3) -> DMat3 {
+    let m = world_from_object.matrix3;
+    // The cofactor matrix, det · inverse transpose, exists for every transform.
+    let cofactor = DMat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis));
+    cofactor * orientation(world_from_object)
 }
 
 /// The interpolated normal where the corners have normals and it is on the geometric one's side.

@@ -1,7 +1,7 @@
 //! A level as a bake imports it, with its meshes.
 
 use crate::BenchError;
-use kiln_core::{BakeSettings, Digest, Level, Mesh, codec};
+use kiln_core::{BakeSettings, Digest, FoliageMode, Level, Mesh, codec};
 use kiln_scene::{LevelFiles, ReadError, SceneError};
 use std::{collections::BTreeMap, path::Path, sync::Arc};
 
@@ -12,13 +12,14 @@ pub(crate) struct Imported {
     pub(crate) meshes: Vec<Arc<Mesh>>,
 }
 
-/// Imports a level with the sidecar beside it and default settings.
+/// Imports a level with the sidecar beside it and default settings, but that foliage is geometry: what peers trace.
 pub(crate) fn import(path: &Path) -> Result<Imported, BenchError> {
     let files = LevelFiles::read(path, None).map_err(|error| match error {
         ReadError::Level(source) => refused(path, source),
         other => BenchError::File { path: path.to_path_buf(), reason: other.to_string() },
     })?;
-    let import = kiln_scene::import(&files.name, &files, files.sidecar(), &BakeSettings::default());
+    let settings = BakeSettings { foliage: FoliageMode::Geometry, ..BakeSettings::default() };
+    let import = kiln_scene::import(&files.name, &files, files.sidecar(), &settings);
     let import = import.map_err(|source| refused(path, source))?;
     let decode = |blob: &kiln_scene::MeshBlob| -> Result<(Digest, Arc<Mesh>), codec::DecodeError> {
         Ok((blob.digest, Arc::new(codec::decode("mesh", &blob.bytes)?)))

@@ -114,10 +114,14 @@ impl Flights {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use kiln_core::Digest;
+    use kiln_core::{Digest, TaskKind};
+
+    fn work(index: u32) -> Node {
+        Node::Work { kind: TaskKind::Trace, index }
+    }
 
     fn entry(job: u64, key: &str) -> Entry {
-        Entry { job: JobId(job), node: Node::Trace(job as u32), key: TaskKey(Digest::of(key.as_bytes())) }
+        Entry { job: JobId(job), node: work(job as u32), key: TaskKey(Digest::of(key.as_bytes())) }
     }
 
     const NONE: fn(JobId) -> bool = |_| false;
@@ -132,7 +136,7 @@ mod tests {
         assert_eq!(flights.find(TaskId(7), a), Some(TaskId(7)));
         assert_eq!(flights.find(TaskId(8), a), Some(TaskId(7)), "the key decides");
         assert_eq!(flights.find(TaskId(1), entry(0, "c").key), None);
-        assert_eq!(flights.land(a), [(JobId(2), Node::Trace(2))]);
+        assert_eq!(flights.land(a), [(JobId(2), work(2))]);
         assert_eq!(flights.land(a), []);
         assert_eq!(flights.len(), 1);
     }
@@ -144,7 +148,7 @@ mod tests {
         flights.add(entry(2, "a"), NONE);
         flights.add(entry(3, "a"), NONE);
         assert_eq!(flights.leave(JobId(3)), []);
-        assert_eq!(flights.leave(JobId(1)), [(JobId(2), Node::Trace(2))]);
+        assert_eq!(flights.leave(JobId(1)), [(JobId(2), work(2))]);
         assert_eq!((flights.len(), flights.flights.len()), (0, 0));
     }
 
@@ -154,11 +158,11 @@ mod tests {
         flights.add(entry(1, "a"), NONE);
         flights.add(entry(2, "a"), NONE);
         let paused = |job: JobId| job == JobId(1);
-        assert_eq!(flights.held_back(paused), [(JobId(2), Node::Trace(2))]);
+        assert_eq!(flights.held_back(paused), [(JobId(2), work(2))]);
         assert_eq!(flights.add(entry(2, "a"), paused), Some(TaskId(1)), "it runs beside the paused one");
         assert_eq!(flights.add(entry(3, "a"), paused), None);
         assert_eq!(flights.tasks_of(entry(1, "a").key), [TaskId(0), TaskId(1)]);
-        assert_eq!(flights.land(entry(1, "a").key), [(JobId(3), Node::Trace(3))]);
+        assert_eq!(flights.land(entry(1, "a").key), [(JobId(3), work(3))]);
         assert_eq!(flights.len(), 0);
     }
 }

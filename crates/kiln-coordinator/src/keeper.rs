@@ -56,8 +56,8 @@ pub(crate) enum Op {
     ReadGraph { job: JobId, digest: Digest },
     /// Read what an export gave.
     ReadBaked { job: JobId, digest: Digest },
-    /// Store the list of solutions.
-    StoreSolutions { job: JobId, bytes: Vec<u8> },
+    /// Store the list of outputs.
+    StoreOutputs { job: JobId, bytes: Vec<u8> },
     /// Check and keep results.
     Deliver(Delivery),
     /// Bring the store down to a size.
@@ -101,7 +101,7 @@ pub(crate) enum Stored {
         digest: Digest,
         baked: Option<Box<Baked>>,
     },
-    Solutions {
+    Outputs {
         job: JobId,
         outcome: Result<Digest, Arc<StoreError>>,
     },
@@ -199,9 +199,9 @@ impl Batch {
                     Err(error) => self.answers.push(Stored::Delivered { delivery, outcome: Err(Arc::new(error)) }),
                 }
             }
-            Op::StoreSolutions { job, bytes } => {
+            Op::StoreOutputs { job, bytes } => {
                 let outcome = store.put_one(&bytes).map_err(Arc::new);
-                self.answers.push(Stored::Solutions { job, outcome });
+                self.answers.push(Stored::Outputs { job, outcome });
             }
             Op::LookUpAnswer { job, key } => {
                 self.ask(job, |job| Ok(Stored::Answer { job, found: find_answer(store, key)?.map(Box::new) }));

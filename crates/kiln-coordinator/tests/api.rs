@@ -213,7 +213,12 @@ async fn a_worker_must_say_hello_and_be_of_this_version() {
     let hello = v1::Hello { worker_id: "w".into(), protocol_min: 99, protocol_max: 99, ..Default::default() };
     let error = workers.session(say(Message::Hello(hello))).await.unwrap_err();
     assert_eq!(status::reason(&error).as_deref(), Some("PROTOCOL"));
-    let hello = v1::Hello { worker_id: "w".into(), protocol_min: 1, protocol_max: 1, ..Default::default() };
+    let hello = v1::Hello {
+        worker_id: "w".into(),
+        protocol_min: kiln_proto::PROTOCOL_MIN,
+        protocol_max: kiln_proto::PROTOCOL,
+        ..Default::default()
+    };
     let error = workers.session(say(Message::Hello(hello))).await.unwrap_err();
     assert_eq!(status::reason(&error).as_deref(), Some("KERNEL_REVISION"));
 }

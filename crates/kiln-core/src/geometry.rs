@@ -14,17 +14,78 @@ pub enum Class {
     Distant,
     /// Neither occludes nor receives.
     Ignored,
-    /// A tree (baked as opaque geometry until foliage is supported).
+    /// A tree: each crossing of one of its faces keeps a part of the visibility.
     Tree,
-    /// A shrub (baked as opaque geometry until foliage is supported).
+    /// A shrub: fog in the box around it.
     Shrub,
-    /// A small decorator such as grass (baked as opaque geometry until foliage is supported).
+    /// A small decorator such as grass: stops nothing.
     Decorator,
 }
 
 impl Class {
     /// Every class.
     pub const ALL: [Self; 6] = [Self::Opaque, Self::Distant, Self::Ignored, Self::Tree, Self::Shrub, Self::Decorator];
+}
+
+/// What faces of foliage do to rays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Foliage {
+    /// Each crossing keeps a part of the visibility.
+    Crossing(OpticalDepth),
+    /// The box around all such faces of an instance is filled with fog, of this density or of one derived from the mesh.
+    Fog(Option<Density>),
+}
+
+/// How much of the visibility is lost, as the negative binary logarithm of what is kept, in units of 2⁻¹⁶: depths add up
+/// exactly, in any order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct OpticalDepth(pub u32);
+
+impl OpticalDepth {
+    /// Nothing is kept, as far as a ray's 16 bits can tell.
+    const MOST: f64 = 64.0;
+
+    /// The depth that keeps a part of the visibility, 0 to 1.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped to 64 · 65,536")]
+    pub fn of_transmittance(transmittance: f64) -> Self {
+        let depth = if transmittance > 0.0 { -transmittance.log2() } else { Self::MOST };
+        Self((depth.clamp(0.0, Self::MOST) * 65536.0).round() as u32)
+    }
+
+    /// The part of the visibility that is kept, 0 to 1.
+    pub fn transmittance(self) -> f64 {
+        (-f64::from(self.0) / 65536.0).exp2()
+    }
+}
+
+/// Density of fog, 1/m, compared by its bits.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub struct Density {
+    /// Negative natural logarithm of what is kept, for each metre.
+    pub per_m: f64,
+}
+
+impl PartialEq for Density {
+    fn eq(&self, other: &Self) -> bool {
+        self.per_m.to_bits() == other.per_m.to_bits()
+    }
+}
+
+impl Eq for Density {}
+
+impl std::hash::Hash for Density {
+    fn hash<H: std::hash::Hasher>(&self, state: &mut H) {
+        self.per_m.to_bits().hash(state);
+    }
+}
+
+/// Fog that stands for an instance's shrub.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Fog {
+    /// The box, in the instance's object space.
+    pub bounds: Bounds,
+    /// Density in world space, 1/m, less what other fog in the same place adds.
+    pub density_per_m: f64,
 }
 
 /// What faces of one primitive have in common.
@@ -36,6 +97,8 @@ pub struct FaceGroup {
     pub double_sided: bool,
     /// Rays are stopped by these faces.
     pub occludes: bool,
+    /// What the faces do to rays that they do not stop.
+    pub foliage: Option<Foliage>,
     /// These faces get samples.
     pub receives: bool,
     /// A cap on the samples per face that a rule sets, of 256 rays each: adaptive sampling, whose samples have fewer rays,

@@ -1,6 +1,6 @@
 //! An imported level: a manifest of mesh digests, the instance table and the resolved settings.
 
-use crate::{Bounds, Class, Digest, OutputSettings, Sampling, SolveSettings};
+use crate::{Bounds, Class, Digest, Fog, OutputSettings, Sampling, SolveSettings};
 use glam::{DAffine3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -44,6 +44,8 @@ pub struct MeshEntry {
     pub duplicate_faces: u32,
     /// Object-space bounds.
     pub bounds: Bounds,
+    /// Where the origin of Kiln's object space is in the file's.
+    pub center: DVec3,
     /// Index of the mesh in the source file.
     pub source_mesh: u32,
     /// Where each block of vertices comes from.
@@ -76,6 +78,42 @@ pub struct Instance {
     pub world_from_object: DAffine3,
     /// Whether the instance gets values of its own (`--only` may leave it out; it still occludes).
     pub receives: bool,
+    /// What it gets, if it receives.
+    pub gets: Gets,
+    /// The fog that stands for its shrub, if it has one.
+    pub fog: Option<Fog>,
+}
+
+/// What an instance gets from a bake.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Default)]
+pub enum Gets {
+    /// Values at its own vertices.
+    #[default]
+    Vertices,
+    /// Numbers of its own by which the local AO of its model is multiplied: it has a tree.
+    Global,
+    /// One number: it is made of shrubs and decorators only.
+    Scalar,
+}
+
+/// What an instance has in place of values at its vertices.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum InstanceNumbers {
+    /// The local AO of its model is to be multiplied by `y0 + y1 u + y2 v + y3 w`, u, v and w being the place within the
+    /// model's box ([`MeshEntry::bounds`]), each from −1 to 1 (Sloan et al. 2013, equation 3).
+    Global {
+        /// y0 to y3 for each channel.
+        channels: Vec<[f32; 4]>,
+        /// The same for the blend of the channels.
+        blend: [f32; 4],
+    },
+    /// AO that all of it has.
+    Scalar {
+        /// For each channel, 0 to 1.
+        ao: Vec<f32>,
+        /// Nothing with values is near: it is open.
+        is_open: bool,
+    },
 }
 
 impl Instance {

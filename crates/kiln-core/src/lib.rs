@@ -7,24 +7,34 @@
 pub mod codec;
 mod digest;
 mod geometry;
+mod graph;
+mod graph_check;
+mod kind;
 mod level;
 mod moments;
 mod settings;
 mod skip;
 mod solution;
+mod summary;
 mod task;
+mod work;
 
 pub use digest::{Digest, DigestBuilder, DigestStream, ParseDigestError};
-pub use geometry::{Bounds, Class, FaceGroup, Mesh};
-pub use level::{Instance, Level, LevelCounts, MeshEntry, VertexBlock, Warning};
+pub use geometry::{Bounds, Class, Density, FaceGroup, Fog, Foliage, Mesh, OpticalDepth};
+pub use graph::{MAX_INPUTS, PlannedTask, TaskGraph};
+pub use graph_check::{GraphError, GraphProblem};
+pub use kind::{Lane, LanePart, MIXED_LANE, TaskKind};
+pub use level::{Gets, Instance, InstanceNumbers, Level, LevelCounts, MeshEntry, VertexBlock, Warning};
 pub use moments::{FaceMoments, HalfMoments, MomentsError, TraceSummary};
 pub use settings::{
-    Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, Kernel, MAX_CHANNELS, OutputSettings, Quality, Remap,
-    Sampling, SolveSettings, Target, ValueFormat,
+    Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, FoliageMode, Kernel, MAX_CHANNELS, OutputSettings,
+    Quality, Remap, Sampling, SolveSettings, Target, ValueFormat,
 };
 pub use skip::{REACH_EPSILON, SkipRule};
 pub use solution::{CoarseFace, CoarseFaces, ComponentMethod, ErrorEstimate, ErrorHistogram, Solution, SolveSummary};
-pub use task::{
-    BakeSummary, Baked, BeyondReach, ExportSpec, JobId, Lane, MIXED_LANE, MeshSummary, PlanSpec, SolveTask, SourceFile,
-    SourceManifest, TaskGraph, TaskKey, TaskKind, TaskSpec, TraceTask,
+pub use summary::{BakeSummary, Baked, BeyondReach, FoliageSummary, MeshSummary, ModelSummary};
+pub use task::{ExportSpec, JobId, PlanSpec, SourceFile, SourceManifest, TaskKey, TaskSpec, WorkSpec};
+pub use work::{
+    FitWork, Output, RAYS_PER_VOXEL, ReadWork, ResultError, SolveWork, TraceWork, TreeErrors, TreeFits, VolumeWork,
+    Work,
 };

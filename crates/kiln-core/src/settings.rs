@@ -147,6 +147,8 @@ pub struct BakeSettings {
     pub regularization: f64,
     /// Adds a plane under the level that occludes.
     pub ground_plane: bool,
+    /// What trees and shrubs do to rays.
+    pub foliage: FoliageMode,
     /// Drops faces with non-finite positions or indices out of range, instead of refusing the file.
     pub drop_bad_faces: bool,
     /// Gives values only to nodes, meshes or materials whose name matches.
@@ -173,6 +175,7 @@ impl Default for BakeSettings {
             back_face_limit: 0.25,
             regularization: DEFAULT_REGULARIZATION,
             ground_plane: false,
+            foliage: FoliageMode::default(),
             drop_bad_faces: false,
             only: None,
             seed: 0,
@@ -180,6 +183,21 @@ impl Default for BakeSettings {
             output: OutputSettings::default(),
         }
     }
+}
+
+/// What trees and shrubs do to rays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
+#[serde(rename_all = "lowercase")]
+pub enum FoliageMode {
+    /// A ray ends at each crossing, and in each stretch of fog, with the probability of being absorbed there; its value is the
+    /// expected one. Foliage far beyond the half-distance is forgotten, as other occluders are.
+    #[default]
+    Expected,
+    /// A ray's value is multiplied by what the foliage up to its closest hit, or its reach, keeps (Sloan et al. 2013,
+    /// section 2.1).
+    Attenuate,
+    /// Foliage is opaque geometry: what the other two stand for, where leaves have no holes.
+    Geometry,
 }
 
 /// When adaptive sampling has enough.
@@ -267,6 +285,8 @@ pub struct Sampling {
     pub back_face_limit: f64,
     /// Mixed into every scramble; a reference bake's differs from every other quality's.
     pub seed: u64,
+    /// What trees and shrubs do to rays.
+    pub foliage: FoliageMode,
     /// Height of a plane that occludes, relative to the origin, metres along +y, if wanted.
     pub ground_plane_y_m: Option<f64>,
     /// Rules that leave out work, turned off: [`SkipRule::of_sampling`].

@@ -5,9 +5,11 @@
 //! is found while waiting to a panic inside wgpu, which is caught. A device that failed once is not used again.
 
 use crate::{
-    GpuError,
+    DeviceOptions, GpuError,
     adapter::{self, AdapterChoice, AdapterSummary},
+    experimental,
     flight::{Call, Flights, Pipeline},
+    ray_query,
     shader::{self, Entry, SceneShape},
 };
 use kiln_trace::TraceError;
@@ -30,6 +32,7 @@ pub struct GpuDevice {
     adapter: AdapterSummary,
     limits: wgpu::Limits,
     has_subgroups: bool,
+    has_ray_queries: bool,
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     faults: Arc<Faults>,
@@ -63,12 +66,12 @@ pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl GpuDevice {
     /// Opens the adapter that is chosen. `None` where there is no such adapter, unless it was named.
     pub fn open(choice: &AdapterChoice) -> Result<Option<Arc<Self>>, GpuError> {
-        Self::open_with(choice, true)
+        Self::open_with(choice, DeviceOptions::default())
     }
 
-    /// As [`GpuDevice::open`]; `subgroups` permits kernels to use subgroup operations where the adapter has them. Results
-    /// are the same either way.
-    pub fn open_with(choice: &AdapterChoice, subgroups: bool) -> Result<Option<Arc<Self>>, GpuError> {
+    /// As [`GpuDevice::open`], with options. With ray queries a small scene is traced both ways; a device on which the results differ is
+    /// refused.
+    pub fn open_with(choice: &AdapterChoice, options: DeviceOptions) -> Result<Option<Arc<Self>>, GpuError> {
         let adapters = adapter::enumerate();
         let summaries: Vec<AdapterSummary> =
             adapters.iter().map(|adapter| AdapterSummary::of(&adapter.get_info())).collect();
@@ -78,19 +81,35 @@ impl GpuDevice {
             let found = if names.is_empty() { "none".to_owned() } else { names.join(", ") };
             return Err(GpuError::NotFound { wanted: wanted.clone(), found });
         };
-        Self::open_adapter(&adapters[index], &summaries[index], subgroups).map(Some)
+        let device = Self::open_adapter(&adapters[index], &summaries[index], options)?;
+        if options.ray_queries {
+            ray_query::check(&device)?;
+        }
+        Ok(Some(device))
     }
 
-    fn open_adapter(adapter: &wgpu::Adapter, summary: &AdapterSummary, subgroups: bool) -> Result<Arc<Self>, GpuError> {
-        let wanted = if subgroups { wgpu::Features::SUBGROUP } else { wgpu::Features::empty() };
+    fn open_adapter(
+        adapter: &wgpu::Adapter,
+        summary: &AdapterSummary,
+        options: DeviceOptions,
+    ) -> Result<Arc<Self>, GpuError> {
+        let mut wanted = wgpu::Features::empty();
+        wanted.set(wgpu::Features::SUBGROUP, options.subgroups);
+        wanted.set(wgpu::Features::EXPERIMENTAL_RAY_QUERY, options.ray_queries);
         let features = wanted & adapter.features();
         // All that the adapter has: wgpu's defaults would cap a binding at 128 MiB.
         let limits = adapter.limits();
+        let missing = options.ray_queries.then(|| ray_query::missing(features, &limits)).flatten();
+        if let Some(missing) = missing {
+            return Err(GpuError::NoRayQueries { adapter: summary.to_string(), missing });
+        }
+        let disabled = wgpu::ExperimentalFeatures::disabled;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("kiln"),
             required_features: features,
             required_limits: limits.clone(),
             memory_hints: wgpu::MemoryHints::MemoryUsage,
+            experimental_features: if options.ray_queries { experimental::consent() } else { disabled() },
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
@@ -104,6 +123,7 @@ impl GpuDevice {
             adapter: summary.clone(),
             limits,
             has_subgroups: features.contains(wgpu::Features::SUBGROUP),
+            has_ray_queries: options.ray_queries,
             device,
             queue,
             faults,
@@ -127,9 +147,14 @@ impl GpuDevice {
         self.has_subgroups
     }
 
-    /// Name, kind and driver in one line, for a person.
+    /// Whether tracers use hardware ray queries.
+    pub fn has_ray_queries(&self) -> bool {
+        self.has_ray_queries
+    }
+
+    /// Name, kind and driver in one line, for a person, and whether ray queries are used.
     pub fn describe(&self) -> String {
-        self.adapter.to_string()
+        format!("{}{}", self.adapter, if self.has_ray_queries { " with ray queries" } else { "" })
     }
 
     /// Gives up the device, as its loss would: every later call fails with [`TraceError::DeviceLost`].
@@ -148,6 +173,10 @@ impl GpuDevice {
 
     pub(crate) fn too_large(&self, what: &'static str, needed: u64, available: u64) -> TraceError {
         TraceError::TooLarge { adapter: self.adapter.name.clone(), what, needed, available }
+    }
+
+    pub(crate) fn too_many(&self, what: &'static str, needed: u64, available: u64) -> TraceError {
+        TraceError::TooMany { adapter: self.adapter.name.clone(), what, needed, available }
     }
 
     /// The fault that was found, if any.
@@ -191,13 +220,18 @@ impl GpuDevice {
             return Err(self.too_large(what, size, most));
         }
         let descriptor = wgpu::BufferDescriptor { label: Some(what), size, usage, mapped_at_creation: false };
-        let buffer = self.scoped(|| self.device.create_buffer(&descriptor)).map_err(|error| match error {
+        self.create(what, size, || self.device.create_buffer(&descriptor))
+    }
+
+    /// Something of about `size` bytes that `make` creates, or an error that says that it was too large.
+    pub(crate) fn create<T>(&self, what: &'static str, size: u64, make: impl FnOnce() -> T) -> Result<T, TraceError> {
+        let made = self.scoped(make).map_err(|error| match error {
             // How much there would have been is not known; less than was asked for.
-            wgpu::Error::OutOfMemory { .. } => self.too_large(what, size, size - 1),
+            wgpu::Error::OutOfMemory { .. } => self.too_large(what, size, size.saturating_sub(1)),
             other => self.lost(other.to_string()),
         })?;
         self.check()?;
-        Ok(buffer)
+        Ok(made)
     }
 
     /// The kernel for scenes of a shape; compiled once.
@@ -251,7 +285,8 @@ impl GpuDevice {
     /// Group 1 of the kernels that read a scene; see [`shader`].
     pub(crate) fn scene_layout(&self, shape: &SceneShape) -> wgpu::BindGroupLayout {
         let geometry = (1..=shape.bindings).map(|binding| storage_entry(binding, true));
-        let entries: Vec<_> = std::iter::once(uniform_entry(0)).chain(geometry).collect();
+        let structure = shape.ray_queries.then(|| structure_entry(shape.structure_binding()));
+        let entries: Vec<_> = std::iter::once(uniform_entry(0)).chain(geometry).chain(structure).collect();
         let descriptor = wgpu::BindGroupLayoutDescriptor { label: Some("scene"), entries: &entries };
         self.device.create_bind_group_layout(&descriptor)
     }
@@ -276,19 +311,22 @@ impl GpuDevice {
     }
 }
 
+fn structure_entry(binding: u32) -> wgpu::BindGroupLayoutEntry {
+    layout_entry(binding, wgpu::BindingType::AccelerationStructure { vertex_return: false })
+}
+
 fn uniform_entry(binding: u32) -> wgpu::BindGroupLayoutEntry {
-    layout_entry(binding, wgpu::BufferBindingType::Uniform)
+    buffer_entry(binding, wgpu::BufferBindingType::Uniform)
 }
 
 fn storage_entry(binding: u32, read_only: bool) -> wgpu::BindGroupLayoutEntry {
-    layout_entry(binding, wgpu::BufferBindingType::Storage { read_only })
+    buffer_entry(binding, wgpu::BufferBindingType::Storage { read_only })
 }
 
-fn layout_entry(binding: u32, ty: wgpu::BufferBindingType) -> wgpu::BindGroupLayoutEntry {
-    wgpu::BindGroupLayoutEntry {
-        binding,
-        visibility: wgpu::ShaderStages::COMPUTE,
-        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
-        count: None,
-    }
+fn buffer_entry(binding: u32, ty: wgpu::BufferBindingType) -> wgpu::BindGroupLayoutEntry {
+    layout_entry(binding, wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None })
+}
+
+fn layout_entry(binding: u32, ty: wgpu::BindingType) -> wgpu::BindGroupLayoutEntry {
+    wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::COMPUTE, ty, count: None }
 }

@@ -31,6 +31,30 @@ pub enum GpuError {
         /// What the driver said.
         reason: String,
     },
+    /// The adapter has no ray queries.
+    #[error(
+        "the adapter {adapter} cannot trace by ray queries: {missing}; leave --ray-queries away, name another adapter in KILN_GPU, or install a \
+         newer driver"
+    )]
+    NoRayQueries {
+        /// The adapter, with its driver.
+        adapter: String,
+        /// What it lacks.
+        missing: String,
+    },
+    /// Ray queries and the software traversal have other results on this device.
+    #[error(
+        "on the adapter {adapter} ray queries differ from the software traversal on {differing} of {rays} rays of a check; leave --ray-queries \
+         away, and tell us which card and driver this is"
+    )]
+    RayQueriesDiffer {
+        /// The adapter, with its driver.
+        adapter: String,
+        /// Rays whose hits differ.
+        differing: usize,
+        /// Rays that were traced both ways.
+        rays: usize,
+    },
     /// The scene does not fit, or the device was lost while it was sent.
     #[error(transparent)]
     Trace(#[from] TraceError),

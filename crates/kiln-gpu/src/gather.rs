@@ -105,6 +105,7 @@ impl<'a> Gather<'a> {
 
     /// Sums over all samples, in as many dispatches as the budget of rays needs.
     pub(crate) fn run(&self, samples: &[SurfaceSample], sums: &mut [CosineSums]) -> Result<(), TraceError> {
+        self.tracer.check_origins(samples.iter().map(|sample| sample.origin))?;
         sums.fill(CosineSums::default());
         let mut pipeline = Pipeline::new(self.tracer.gpu(), |part: Part, bytes, elapsed| {
             self.tracer.observe(part.rays, elapsed);

@@ -7,7 +7,9 @@
 //! |---|---|
 //! | `sampling` | directions, and the cones of 32 that they are dealt to |
 //! | `kernel` | the value of a hit |
-//! | `node`, `triangle`, `traverse` | boxes, triangles, and the way of a ray through both levels |
+//! | `scene`, `triangle` | a ray's way into an instance, and triangles |
+//! | `node`, `traverse` | boxes, and the way of a ray through both levels |
+//! | `ray_query` | the same way by a card's ray queries |
 //! | `gather`, `trace`, `any_hit` | the operations of a tracer |
 //! | `visits` | what rays cost, for [`model`] |
 //! | `probe` | parts of them, for tests |
@@ -15,17 +17,23 @@
 //! Results are the same bit for bit on one adapter with one driver (a lane), whatever the threads and dispatches, and
 //! near the CPU's: sums are integers, and the arithmetic before them is the CPU's to some ULP.
 
+mod acceleration;
 mod adapter;
 mod any_hit;
+mod boxes;
 mod budget;
 mod device;
 mod error;
+mod experimental;
 mod flight;
 mod gather;
 mod kernel;
+mod layout;
 pub mod model;
 mod node;
+mod options;
 mod probe;
+mod ray_query;
 mod rays;
 mod sampling;
 mod shader;
@@ -40,6 +48,7 @@ mod widen;
 pub use adapter::{ADAPTER_VARIABLE, AdapterChoice, AdapterKind, AdapterSummary, adapters};
 pub use device::GpuDevice;
 pub use error::GpuError;
+pub use options::DeviceOptions;
 pub use probe::ProbedRay;
 pub use tracer::GpuTracer;
 pub use visits::Visits;

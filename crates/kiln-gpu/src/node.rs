@@ -23,6 +23,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use glam::Vec3;
+use std::ops::Range;
 
 /// Children of a node.
 pub(crate) const SLOTS: usize = 8;
@@ -108,6 +109,16 @@ impl WideNode {
         }
         node.leaf_base = first_triangle.unwrap_or(used_mask);
         node
+    }
+
+    /// The triangles of each slot that has any, of a mesh's node.
+    pub(crate) fn runs(&self) -> impl Iterator<Item = Range<u32>> {
+        let base = self.leaf_base;
+        let runs = self.runs.into_iter().filter(|run| run >> 5 > 0);
+        runs.map(move |run| {
+            let first = base + u32::from(run & 31);
+            first..first + u32::from(run >> 5)
+        })
     }
 }
 

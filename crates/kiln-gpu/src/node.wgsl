@@ -1,7 +1,5 @@
 // An eight-wide node with quantised boxes, and a ray's way through it. Keep in sync with node.rs.
 
-// Records are counted in words of 16 bytes; size asserts in node.rs.
-const NODE_WORDS: u32 = 5u;
 // First word of the planes, one word for each axis.
 const PLANES_WORD: u32 = 2u;
 
@@ -9,25 +7,9 @@ const PLANES_WORD: u32 = 2u;
 const BOX_ROUNDING: f32 = 1e-6f;
 // What is entered this little behind a hit may tie with it: distances are rounded to 18 bits.
 const HIT_SLACK: f32 = 1.000008f;
-const LEAST_DIRECTION: f32 = 1e-18f;
 // No term of a distance is greater, so that none is infinite.
 const MOST_STEP: f32 = 1e35f;
 const MOST_START: f32 = 1e37f;
-
-struct SlabRay {
-    origin: vec3<f32>,
-    inverse: vec3<f32>,
-    // A bit for each axis along which it goes down: in the order (slot ^ octant), near children come first.
-    octant: u32,
-}
-
-fn slab_ray(origin: vec3<f32>, direction: vec3<f32>) -> SlabRay {
-    let is_down = direction < vec3(0f);
-    let least = select(vec3(LEAST_DIRECTION), vec3(-LEAST_DIRECTION), is_down);
-    let safe = select(direction, least, abs(direction) < vec3(LEAST_DIRECTION));
-    let bits = select(vec3(0u), vec3(1u, 2u, 4u), is_down);
-    return SlabRay(origin, 1f / safe, bits.x | bits.y | bits.z);
-}
 
 fn bytes(word: u32) -> vec4<f32> {
     return vec4<f32>(unpack4xU8(word));

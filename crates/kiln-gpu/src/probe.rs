@@ -36,7 +36,7 @@ pub struct ProbedRay {
 }
 
 /// No scene is read.
-const NO_SCENE: SceneShape = SceneShape { bindings: 0, binding_shift: 0, stack_entries: 0 };
+const NO_SCENE: SceneShape = SceneShape { bindings: 0, binding_shift: 0, stack_entries: 0, ray_queries: false };
 
 impl GpuDevice {
     /// The rays of each sample, in the order in which they are traced. At most 4 Mi rays at a time.

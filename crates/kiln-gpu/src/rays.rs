@@ -51,6 +51,7 @@ pub(crate) fn run(
     mut read: impl FnMut(Range<usize>, &[u8]),
 ) -> Result<(), TraceError> {
     let widest = u64::from(tracer.gpu().limits().max_compute_workgroups_per_dimension) * u64::from(LANES);
+    tracer.check_origins(rays.iter().map(|ray| ray.origin))?;
     let kernel = tracer.kernel(entry)?;
     let mut pipeline = Pipeline::new(tracer.gpu(), |range: Range<usize>, bytes, elapsed| {
         tracer.observe(range.len() as u64, elapsed);

@@ -36,11 +36,12 @@ impl Entry {
         !matches!(self, Self::Directions | Self::HitValues)
     }
 
-    fn modules(self, subgroups: bool) -> Vec<&'static str> {
+    fn modules(self, subgroups: bool, ray_queries: bool) -> Vec<&'static str> {
         const SAMPLING: &str = include_str!("sampling.wgsl");
         const KERNEL: &str = include_str!("kernel.wgsl");
-        const TRAVERSAL: [&str; 3] =
-            [include_str!("node.wgsl"), include_str!("triangle.wgsl"), include_str!("traverse.wgsl")];
+        const SCENE: [&str; 2] = [include_str!("scene.wgsl"), include_str!("triangle.wgsl")];
+        const SOFTWARE: [&str; 2] = [include_str!("node.wgsl"), include_str!("traverse.wgsl")];
+        const RAY_QUERIES: [&str; 1] = [include_str!("ray_query.wgsl")];
         const RAYS: &str = include_str!("rays.wgsl");
         let own: &[&str] = match self {
             Self::Gather if subgroups => {
@@ -52,8 +53,8 @@ impl Entry {
             Self::Visits => &[RAYS, include_str!("visits.wgsl")],
             Self::Directions | Self::HitValues => &[SAMPLING, KERNEL, include_str!("probe.wgsl")],
         };
-        let traversal = if self.is_traced() { &TRAVERSAL[..] } else { &[] };
-        [traversal, own].concat()
+        let traversal = if ray_queries { &RAY_QUERIES[..] } else { &SOFTWARE[..] };
+        if self.is_traced() { [&SCENE[..], traversal, own].concat() } else { own.to_vec() }
     }
 }
 
@@ -64,15 +65,24 @@ pub(crate) struct SceneShape {
     pub(crate) bindings: u32,
     /// Each binding but the last holds `2^binding_shift` words of 16 bytes.
     pub(crate) binding_shift: u32,
-    /// Entries of the traversal stack.
+    /// Entries of the traversal stack; 0 with ray queries, which need none.
     pub(crate) stack_entries: u32,
+    /// Whether boxes are found by hardware ray queries.
+    pub(crate) ray_queries: bool,
+}
+
+impl SceneShape {
+    /// The binding of the acceleration structure, behind the geometry.
+    pub(crate) fn structure_binding(&self) -> u32 {
+        self.bindings + 1
+    }
 }
 
 /// The whole source of a kernel. `shape` is not looked at by kernels that read no scene; `subgroups` says whether the
 /// kernel may use them.
 pub(crate) fn source(entry: Entry, shape: &SceneShape, subgroups: bool) -> String {
     let mut text = if entry.is_traced() { prelude(entry, shape) } else { String::new() };
-    for module in entry.modules(subgroups) {
+    for module in entry.modules(subgroups, shape.ray_queries) {
         text.push_str(module);
         text.push('\n');
     }
@@ -81,10 +91,11 @@ pub(crate) fn source(entry: Entry, shape: &SceneShape, subgroups: bool) -> Strin
 
 /// Declares the kernel's switches, the scene's bindings, and `geometry`, which makes one array of them.
 fn prelude(entry: Entry, shape: &SceneShape) -> String {
-    let mut text = format!(
-        "const STACK_ENTRIES: u32 = {}u;\nconst ANY_HIT: bool = {};\nconst COUNT_VISITS: bool = {};\n\
+    let mut text = traversal_prelude(shape);
+    let _ = write!(
+        text,
+        "const ANY_HIT: bool = {};\nconst COUNT_VISITS: bool = {};\n\
          @group(1) @binding(0) var<uniform> scene: SceneInfo;\n",
-        shape.stack_entries,
         entry == Entry::AnyHit,
         entry == Entry::Visits,
     );
@@ -105,6 +116,15 @@ fn prelude(entry: Entry, shape: &SceneShape) -> String {
     text
 }
 
+/// Declares what one way of traversal needs. A directive comes before all else.
+fn traversal_prelude(shape: &SceneShape) -> String {
+    if !shape.ray_queries {
+        return format!("const STACK_ENTRIES: u32 = {}u;\n", shape.stack_entries);
+    }
+    let binding = shape.structure_binding();
+    format!("enable wgpu_ray_query;\n@group(1) @binding({binding}) var boxes: acceleration_structure;\n")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -115,7 +135,8 @@ mod tests {
         let text = source(entry, shape, subgroups);
         let module = naga::front::wgsl::parse_str(&text)
             .unwrap_or_else(|error| panic!("{}: {}", entry.name(), error.emit_to_string(&text)));
-        let capabilities = if subgroups { Capabilities::SUBGROUP } else { Capabilities::empty() };
+        let mut capabilities = if subgroups { Capabilities::SUBGROUP } else { Capabilities::empty() };
+        capabilities.set(Capabilities::RAY_QUERY, shape.ray_queries);
         Validator::new(ValidationFlags::all(), capabilities)
             .subgroup_stages(ShaderStages::COMPUTE)
             .subgroup_operations(SubgroupOperationSet::all())
@@ -127,11 +148,12 @@ mod tests {
 
     #[test]
     fn every_shader_is_valid() {
-        let shapes = [(1, 31, 4), (2, 23, 12), (8, 27, 40)];
+        let shapes = [(1, 31, 4), (2, 23, 12), (8, 27, 40), (1, 31, 0), (3, 20, 0)];
         for entry in Entry::ALL {
             for (bindings, binding_shift, stack_entries) in shapes {
+                let ray_queries = stack_entries == 0;
                 for subgroups in [false, true] {
-                    check(entry, &SceneShape { bindings, binding_shift, stack_entries }, subgroups);
+                    check(entry, &SceneShape { bindings, binding_shift, stack_entries, ray_queries }, subgroups);
                 }
             }
         }

@@ -10,7 +10,11 @@ use crate::{
     traverse::SceneBuffers,
     visits,
 };
-use kiln_trace::{CosineSums, Hit, KernelRates, MAX_RAYS_PER_SAMPLE, Ray, Scene, SurfaceSample, TraceError, Tracer};
+use glam::Vec3;
+use kiln_trace::{
+    CosineSums, Hit, KernelRates, MAX_RAYS_PER_SAMPLE, Ray, Scene, SpherePoint, SphereSums, SurfaceSample, TraceError,
+    Tracer, gather_sphere_by_rays,
+};
 use std::{
     sync::{Arc, Mutex},
     time::Duration,
@@ -35,10 +39,20 @@ impl GpuTracer {
         Self::with_binding_bytes(gpu, scene, u64::MAX)
     }
 
+    /// As [`GpuTracer::new`], by the software traversal on any device: what ray queries are compared with.
+    pub fn without_ray_queries(gpu: Arc<GpuDevice>, scene: &Scene) -> Result<Self, GpuError> {
+        Self::of(gpu, scene, u64::MAX, false)
+    }
+
     /// As [`GpuTracer::new`], with a lower limit than the device's own to the bytes of one storage binding: tests
     /// use it to spread a small scene over several.
     pub fn with_binding_bytes(gpu: Arc<GpuDevice>, scene: &Scene, binding_bytes: u64) -> Result<Self, GpuError> {
-        let scene = SceneBuffers::upload(&gpu, scene, binding_bytes)?;
+        let ray_queries = gpu.has_ray_queries();
+        Self::of(gpu, scene, binding_bytes, ray_queries)
+    }
+
+    fn of(gpu: Arc<GpuDevice>, scene: &Scene, binding_bytes: u64, ray_queries: bool) -> Result<Self, GpuError> {
+        let scene = SceneBuffers::upload(&gpu, scene, binding_bytes, ray_queries)?;
         // Compiled here, so that a driver that cannot is known before there is work.
         gpu.kernel(Entry::Gather, &scene.shape)?;
         Ok(Self { gpu, scene, budget: Mutex::new(Budget::new()) })
@@ -49,7 +63,7 @@ impl GpuTracer {
         &self.gpu
     }
 
-    /// The scene's size in the device's memory, bytes.
+    /// The scene's size in the device's memory, bytes; with ray queries without the driver's own structures.
     pub fn memory_bytes(&self) -> u64 {
         self.scene.memory_bytes
     }
@@ -59,9 +73,23 @@ impl GpuTracer {
         self.scene.shape.bindings
     }
 
-    /// Counts what the closest hits of rays cost on this device.
+    /// Whether it traces by hardware ray queries.
+    pub fn has_ray_queries(&self) -> bool {
+        self.scene.shape.ray_queries
+    }
+
+    /// Counts what the closest hits of rays cost on this device. With ray queries, nodes are boxes that were proposed.
     pub fn visits(&self, rays: &[Ray]) -> Result<Visits, TraceError> {
         visits::run(self, rays)
+    }
+
+    /// Refuses origins for which ray queries are not known to be right; the software traversal takes all.
+    pub(crate) fn check_origins(&self, origins: impl Iterator<Item = Vec3>) -> Result<(), TraceError> {
+        let reach_m = self.scene.origin_reach;
+        // What is no number meets nothing, wherever it starts.
+        let mut distances = origins.map(|origin| origin.abs().max_element());
+        let far = if reach_m.is_finite() { distances.find(|distance| *distance > reach_m) } else { None };
+        far.map_or(Ok(()), |distance_m| Err(TraceError::OutOfReach { distance_m, reach_m }))
     }
 
     pub(crate) fn scene_group(&self) -> &wgpu::BindGroup {
@@ -99,6 +127,18 @@ impl Tracer for GpuTracer {
         assert_eq!(samples.len(), sums.len(), "one sum for each sample");
         debug_assert!(samples.iter().all(|sample| sample.first_index.is_multiple_of(rays_per_sample)));
         Gather::new(self, kernel, rays_per_sample, samples.len()).run(samples, sums)
+    }
+
+    fn gather_sphere(
+        &self,
+        points: &[SpherePoint],
+        kernel: &KernelRates,
+        rays_per_point: u32,
+        sums: &mut [SphereSums],
+    ) -> Result<(), TraceError> {
+        assert_eq!(points.len(), sums.len(), "one sum for each point");
+        // There is no kernel for it yet (docs/gpu.md).
+        gather_sphere_by_rays(self, points, kernel, rays_per_point, sums)
     }
 
     fn trace(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<(), TraceError> {

@@ -1,4 +1,4 @@
-//! A scene on the device; the host side of `traverse.wgsl`.
+//! A scene on the device; the host side of `scene.wgsl` and `traverse.wgsl`. [`crate::ray_query`] is the other way of traversal.
 //!
 //! # Data
 //!
@@ -31,32 +31,24 @@
 //! that a device sets aside no more than the scene needs. Bytes, operations and rates: docs/gpu.md, [`crate::model`].
 
 use crate::{
-    GpuDevice,
+    GpuDevice, acceleration,
+    boxes::Boxes,
     device::CALL_STORAGE_BUFFERS,
-    node::WideNode,
+    layout::{Layout, WORD_BYTES},
     shader::SceneShape,
-    triangle::{MISS_RANK, TriangleRecord},
+    triangle::MISS_RANK,
     upload::Upload,
-    widen::{WideTree, widen},
 };
-use bytemuck::{Pod, Zeroable, bytes_of, cast, cast_slice};
-use kiln_trace::{MeshBvh, Scene, SceneInstance, TraceError};
-
-/// Bytes of a word of the geometry.
-const WORD_BYTES: u64 = 16;
-const NODE_WORDS: u64 = 5;
-const TRIANGLE_WORDS: u64 = 3;
+use bytemuck::{Pod, Zeroable, bytes_of};
+use kiln_trace::{Scene, TraceError};
 
 /// The most bindings that the geometry is spread over.
 const MAX_BINDINGS: u32 = 8;
 
-/// Entries of the stack are a multiple of this, so that few shaders are compiled.
-const STACK_STEP: u32 = 4;
-
 /// The greatest distance that a ray is given: widened, it is still finite.
 pub(crate) const MOST_DISTANCE: f32 = 3e38;
 
-/// Keep in sync with `SceneInfo` in `traverse.wgsl`.
+/// Keep in sync with `SceneInfo` in `scene.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
 struct SceneInfo {
@@ -65,97 +57,31 @@ struct SceneInfo {
     padding: [u32; 2],
 }
 
-/// The record of an instance: rows of the inverse transform, then where its mesh starts.
-#[repr(C)]
-#[derive(Clone, Copy, Pod, Zeroable)]
-struct InstanceRecord {
-    object_from_world: [[f32; 4]; 3],
-    node_words: u32,
-    triangle_words: u32,
-    instance: u32,
-    padding: [u32; 5],
-}
-
-const _: () = {
-    assert!(size_of::<SceneInfo>() == 16);
-    assert!(size_of::<WideNode>() as u64 == NODE_WORDS * WORD_BYTES);
-    assert!(size_of::<InstanceRecord>() == size_of::<WideNode>());
-    assert!(size_of::<TriangleRecord>() as u64 == TRIANGLE_WORDS * WORD_BYTES);
-};
+const _: () = assert!(size_of::<SceneInfo>() == 16);
 
 /// A scene in the device's memory.
 #[derive(Debug)]
 pub(crate) struct SceneBuffers {
     pub(crate) shape: SceneShape,
     pub(crate) group: wgpu::BindGroup,
+    /// Without acceleration structures, whose size no driver tells.
     pub(crate) memory_bytes: u64,
-}
-
-/// The device's trees, and where they go, in words.
-struct Layout {
-    top: WideTree,
-    meshes: Vec<WideTree>,
-    /// First words of nodes and triangles of each mesh.
-    starts: Vec<[u64; 2]>,
-    total_words: u64,
-}
-
-impl Layout {
-    fn of(scene: &Scene) -> Self {
-        let top = if scene.is_empty() { WideTree::default() } else { widen(scene) };
-        let of_mesh = |mesh: &MeshBvh| if mesh.is_empty() { WideTree::default() } else { widen(mesh) };
-        let meshes: Vec<WideTree> = scene.meshes.iter().map(|mesh| of_mesh(mesh)).collect();
-        let mut at = top.nodes.len() as u64 * NODE_WORDS;
-        let mut starts = Vec::with_capacity(meshes.len());
-        for mesh in &meshes {
-            let triangles = at + mesh.nodes.len() as u64 * NODE_WORDS;
-            starts.push([at, triangles]);
-            at = triangles + mesh.leaves.len() as u64 * TRIANGLE_WORDS;
-        }
-        Self { top, meshes, starts, total_words: at.max(1) }
-    }
-
-    /// Entries that no path through both levels exceeds: each node leaves one group behind, but for the last.
-    fn stack_entries(&self) -> u32 {
-        let deepest = self.meshes.iter().map(|mesh| mesh.depth).max().unwrap_or(0);
-        (self.top.depth + deepest).next_multiple_of(STACK_STEP).max(STACK_STEP)
-    }
-
-    #[expect(clippy::cast_possible_truncation, reason = "`shape` has checked the greatest word")]
-    fn record(&self, index: u32, instance: &SceneInstance) -> WideNode {
-        let [nodes, triangles] = self.starts[instance.mesh as usize];
-        cast(InstanceRecord {
-            object_from_world: instance.object_from_world,
-            node_words: nodes as u32,
-            triangle_words: triangles as u32,
-            instance: index,
-            padding: [0; 5],
-        })
-    }
-
-    /// Sends everything, in the order of `starts`.
-    fn send(&self, scene: &Scene, mut upload: Upload<'_>) -> Result<(), TraceError> {
-        let mut records = self.top.nodes.clone();
-        for &(at, index) in &self.top.leaf_records {
-            records[at] = self.record(index, &scene.instances[index as usize]);
-        }
-        upload.write(cast_slice(&records))?;
-        for (mesh, tree) in scene.meshes.iter().zip(&self.meshes) {
-            upload.write(cast_slice(&tree.nodes))?;
-            for run in tree.leaves.chunks(1 << 16) {
-                let triangles: Vec<TriangleRecord> = run.iter().map(|&i| TriangleRecord::of(mesh, i)).collect();
-                upload.write(cast_slice(&triangles))?;
-            }
-        }
-        upload.finish()
-    }
+    /// Greatest coordinate of a ray's origin, metres.
+    pub(crate) origin_reach: f32,
 }
 
 impl SceneBuffers {
     /// Sends a scene. `binding_bytes` is the most that one binding may hold; the device's own limit holds too.
-    pub(crate) fn upload(gpu: &GpuDevice, scene: &Scene, binding_bytes: u64) -> Result<Self, TraceError> {
-        let layout = Layout::of(scene);
+    pub(crate) fn upload(
+        gpu: &GpuDevice,
+        scene: &Scene,
+        binding_bytes: u64,
+        ray_queries: bool,
+    ) -> Result<Self, TraceError> {
+        let layout = Layout::of(scene, ray_queries);
         let shape = shape(gpu, scene, &layout, binding_bytes)?;
+        let boxes = ray_queries.then(|| Boxes::of(scene, &layout));
+        let structure = boxes.as_ref().map(|boxes| acceleration::build(gpu, boxes)).transpose()?;
         let words_per_binding = 1u64 << shape.binding_shift;
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
         let mut buffers = Vec::new();
@@ -170,14 +96,16 @@ impl SceneBuffers {
         layout.send(scene, Upload::new(gpu, &buffers, words_per_binding * WORD_BYTES))?;
         let resources = std::iter::once(&info_buffer).chain(&buffers).map(wgpu::Buffer::as_entire_binding);
         let entry = |(binding, resource)| wgpu::BindGroupEntry { binding, resource };
-        let entries: Vec<_> = (0u32..).zip(resources).map(entry).collect();
+        let structure = structure.iter().map(|structure| (shape.structure_binding(), structure.as_binding()));
+        let entries: Vec<_> = (0u32..).zip(resources).chain(structure).map(entry).collect();
         let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some("scene"),
             layout: &gpu.scene_layout(&shape),
             entries: &entries,
         });
         gpu.check()?;
-        Ok(Self { shape, group, memory_bytes: layout.total_words * WORD_BYTES })
+        let origin_reach = boxes.map_or(f32::INFINITY, |boxes| boxes.origin_reach);
+        Ok(Self { shape, group, memory_bytes: layout.total_words * WORD_BYTES, origin_reach })
     }
 }
 
@@ -199,5 +127,6 @@ fn shape(gpu: &GpuDevice, scene: &Scene, layout: &Layout, binding_bytes: u64) ->
         return Err(gpu.too_large("the instance table", instances, u64::from(MISS_RANK)));
     }
     let bindings = u32::try_from(layout.total_words.div_ceil(1 << binding_shift)).unwrap_or(u32::MAX);
-    Ok(SceneShape { bindings, binding_shift, stack_entries: layout.stack_entries() })
+    let (stack_entries, ray_queries) = (layout.stack_entries(), layout.ray_queries);
+    Ok(SceneShape { bindings, binding_shift, stack_entries, ray_queries })
 }

@@ -1,9 +1,4 @@
-// Traversal of both levels; traverse.rs says how. The generated prelude gives STACK_ENTRIES, ANY_HIT, COUNT_VISITS,
-// the scene's bindings and
-//     fn geometry(word: u32) -> vec4<u32>
-
-const NO_INSTANCE: u32 = 0xffffffffu;
-const LANES: u32 = 64u;
+// Traversal of both levels; traverse.rs says how. The generated prelude gives STACK_ENTRIES.
 
 // Entries of each lane's stack that lie in the workgroup's memory; the others are private.
 const SHARED_ENTRIES: u32 = min(STACK_ENTRIES, 8u);
@@ -12,23 +7,9 @@ const SPILL_ENTRIES: u32 = max(STACK_ENTRIES, SHARED_ENTRIES + 1u) - SHARED_ENTR
 // A group without nodes but one, the first of its level.
 const ROOT: vec2<u32> = vec2(0u, 0xff0001u);
 
-// What is known of a scene but its geometry. Keep in sync with `SceneInfo` in traverse.rs.
-struct SceneInfo {
-    // Nothing stops a ray.
-    is_empty: u32,
-    // 0, but no compiler knows.
-    zero: u32,
-    padding_0: u32,
-    padding_1: u32,
-}
-
 var<workgroup> shared_stack: array<vec2<u32>, SHARED_ENTRIES * LANES>;
 // Private, not local: a local would be cleared for every ray.
 var<private> spilled_stack: array<vec2<u32>, SPILL_ENTRIES>;
-// This lane of the workgroup; entry points set it first.
-var<private> lane: u32;
-// Nodes, triangles and instances that were visited, where COUNT_VISITS.
-var<private> visits: vec3<u32>;
 
 fn push(depth: u32, group: vec2<u32>) {
     if STACK_ENTRIES <= SHARED_ENTRIES || depth < SHARED_ENTRIES {
@@ -43,10 +24,6 @@ fn popped(depth: u32) -> vec2<u32> {
         return shared_stack[depth * LANES + lane];
     }
     return spilled_stack[depth - SHARED_ENTRIES];
-}
-
-fn turned(row: vec4<f32>, v: vec3<f32>) -> f32 {
-    return row.x * v.x + row.y * v.y + row.z * v.z;
 }
 
 // Tests the triangles of the given leaves of a node. `leaves` is the node's second word.
@@ -143,17 +120,12 @@ fn closest_hit(origin: vec3<f32>, direction: vec3<f32>, t_max: f32) -> ClosestHi
             if COUNT_VISITS {
                 visits.z++;
             }
-            let x = bitcast<vec4<f32>>(geometry(first_word));
-            let y = bitcast<vec4<f32>>(geometry(first_word + 1u));
-            let z = bitcast<vec4<f32>>(geometry(first_word + 2u));
-            let to = geometry(first_word + 3u);
-            let o = vec3(turned(x, origin) + x.w, turned(y, origin) + y.w, turned(z, origin) + z.w);
-            let d = vec3(turned(x, direction), turned(y, direction), turned(z, direction));
-            slab = slab_ray(o, d);
-            sheared = sheared_ray(d);
-            node_words = to.x;
-            triangle_words = to.y;
-            instance = to.z;
+            let object = object_ray(first_word, origin, direction);
+            slab = object.slab;
+            sheared = object.sheared;
+            node_words = object.links.x;
+            triangle_words = object.links.y;
+            instance = object.links.z;
             base = depth;
             group = ROOT;
         }

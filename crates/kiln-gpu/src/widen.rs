@@ -9,6 +9,7 @@ use crate::node::{MAX_RUN, SLOTS, Slot, SlotContent, WideNode};
 use bytemuck::Zeroable;
 use glam::Vec3;
 use kiln_trace::{BvhChild, BvhLink, MeshBvh, Scene};
+use std::ops::Range;
 
 /// A tree of the CPU tracer. Its root is node 0.
 pub(crate) trait SourceTree {
@@ -227,6 +228,11 @@ pub(crate) fn widen<S: SourceTree>(source: &S) -> WideTree {
 }
 
 impl WideTree {
+    /// Which leaves without records lie in one slot, slot by slot.
+    pub(crate) fn runs(&self) -> impl Iterator<Item = Range<u32>> {
+        self.nodes.iter().flat_map(WideNode::runs)
+    }
+
     fn push_leaf<S: SourceTree>(&mut self, content: &Content) -> SlotContent {
         let Content::Run(things) = content else { return SlotContent::Node };
         if S::LEAVES_HAVE_RECORDS {
@@ -270,7 +276,7 @@ mod tests {
             tree
         }
 
-        fn fill(&mut self, node: usize, things: std::ops::Range<usize>, width: usize, leaf: usize) {
+        fn fill(&mut self, node: usize, things: Range<usize>, width: usize, leaf: usize) {
             let part = things.len().div_ceil(width).max(1);
             for first in things.clone().step_by(part) {
                 let run = first..things.end.min(first + part);
@@ -336,6 +342,9 @@ mod tests {
             let tree = widen(&source);
             prop_assert_eq!(check(&tree, &source.boxes), tree.depth);
             prop_assert_eq!(tree.leaves.len(), source.boxes.len());
+            let mut in_runs: Vec<u32> = tree.runs().flatten().collect();
+            in_runs.sort_unstable();
+            prop_assert!(in_runs.into_iter().eq(0..tree.leaves.len() as u32));
             // Never more nodes than the source has, but for runs that are too long for a slot.
             prop_assert!(leaf > MAX_RUN || tree.nodes.len() <= source.nodes.len());
         }

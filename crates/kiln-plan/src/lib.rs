@@ -6,12 +6,17 @@
 //! tasks.
 
 mod boxes;
+mod foliage;
 mod reach;
 
+pub use foliage::{FoliagePlan, ModelPlan, RunPlan, VolumePlan};
 pub use reach::Reach;
 
 use glam::DAffine3;
-use kiln_core::{Digest, DigestBuilder, Lane, Level, SolveTask, TaskGraph, TaskKey, TaskKind, TraceTask};
+use kiln_core::{
+    Class, Digest, DigestBuilder, Gets, Instance, Lane, Level, Output, PlannedTask, SolveWork, TaskGraph, TaskKind,
+    TraceWork, Work,
+};
 use std::ops::Range;
 
 /// Faces of one piece: some 10⁵ rays at medium quality, a fraction of a second on one core.
@@ -58,60 +63,72 @@ pub enum PlanError {
 /// Most pieces of one bake.
 pub const MAX_PIECES: u64 = 1 << 24;
 
-/// Builds the graph. `sampling` has one entry for each instance (ignored for those that do not receive), and `reach` is
-/// the level's.
+/// Builds the graph. `sampling` has one entry for each instance (ignored for those that get no values), and `foliage` and
+/// `reach` are the level's.
 pub fn plan(
     level_digest: Digest,
     level: &Level,
     lane: &Lane,
     sampling: &[InstanceSampling],
+    foliage: &FoliagePlan,
     reach: &Reach,
 ) -> Result<TaskGraph, PlanError> {
     if sampling.len() != level.instances.len() {
         return Err(PlanError::InstanceCount { instances: level.instances.len(), sampled: sampling.len() });
     }
-    let count = |i: &kiln_core::Instance| u64::from(level.meshes[i.mesh as usize].face_count.div_ceil(FACES_PER_PIECE));
-    let needed: u64 = level.instances.iter().filter(|i| i.receives).map(count).sum();
+    let gets_values = |i: &&Instance| i.receives && i.gets == Gets::Vertices;
+    let receivers = || level.instances.iter().filter(gets_values);
+    let count = |i: &Instance| u64::from(level.meshes[i.mesh as usize].face_count.div_ceil(FACES_PER_PIECE));
+    let needed: u64 = receivers().map(count).sum();
     if needed > MAX_PIECES {
         return Err(PlanError::TooLarge { pieces: needed, limit: MAX_PIECES });
     }
-    let roots = occluder_roots(level, reach);
-    let mut graph = TaskGraph {
-        level: level_digest,
-        trace: Vec::with_capacity(needed as usize),
-        solve: Vec::new(),
-        sampling: level.sampling.clone(),
-        counts: level.counts.clone(),
-        warnings: level.warnings.clone(),
-    };
-    for (index, instance) in level.instances.iter().enumerate().filter(|(_, instance)| instance.receives) {
-        let root = reach.group(index).and_then(|group| roots.get(group));
-        let occluders = root.ok_or(PlanError::InstanceCount { instances: level.instances.len(), sampled: index })?;
-        let mesh = &level.meshes[instance.mesh as usize];
-        let receiver = Receiver { mesh: mesh.digest, place: instance.world_from_object };
-        let first_trace = graph.trace.len() as u32;
-        let InstanceSampling { density_per_m2, piece_samples } = &sampling[index];
-        for (range, samples) in pieces(mesh.face_count).zip(piece_samples) {
-            let family = trace_family(&receiver, &range, *density_per_m2, level, lane);
-            graph.trace.push(TraceTask {
-                key: TaskKey(DigestBuilder::new("kiln trace").digest(&family).digest(occluders).finish()),
-                family,
-                instance: index as u32,
-                first_face: range.start,
-                face_count: range.len() as u32,
-                density_per_m2: *density_per_m2,
-                ray_count: samples * u64::from(level.sampling.rays_per_sample),
-            });
-        }
-        graph.solve.push(SolveTask {
-            family: solve_family(&receiver, level, lane),
-            instance: index as u32,
-            first_trace,
-            trace_count: graph.trace.len() as u32 - first_trace,
-            vertex_count: mesh.vertex_count,
-        });
+    let surroundings = occluder_roots(level, reach);
+    let groups = surroundings.len();
+    let mut planner = Planner { level, lane, graph: TaskGraph::new(level_digest, level), surroundings };
+    planner.graph.tasks.reserve_exact(needed as usize + receivers().count());
+    planner.graph.inputs.reserve_exact(needed as usize);
+    let mut solve_of = vec![None; level.instances.len()];
+    for (index, sampling) in sampling.iter().enumerate().filter(|(index, _)| gets_values(&&level.instances[*index])) {
+        let group = reach.group(index).filter(|group| *group < groups);
+        let group = group.ok_or(PlanError::InstanceCount { instances: level.instances.len(), sampled: index })?;
+        solve_of[index] = Some(planner.add_instance(index, sampling, group as u32));
     }
-    Ok(graph)
+    planner.add_foliage(foliage, reach, &solve_of);
+    Ok(TaskGraph { surroundings: planner.surroundings, ..planner.graph })
+}
+
+/// A graph that grows.
+struct Planner<'a> {
+    level: &'a Level,
+    lane: &'a Lane,
+    graph: TaskGraph,
+    /// What can stop rays: of each group of receivers, then what else there is.
+    surroundings: Vec<Digest>,
+}
+
+impl Planner<'_> {
+    /// Adds the pieces of an instance that receives, and its solve, whose index it gives. The number of its group is that of
+    /// its surroundings.
+    fn add_instance(&mut self, index: usize, sampling: &InstanceSampling, group: u32) -> u32 {
+        let (instance, placed) = (index as u32, &self.level.instances[index]);
+        let mesh = &self.level.meshes[placed.mesh as usize];
+        let receiver = Receiver { mesh: mesh.digest, place: placed.world_from_object };
+        let density_per_m2 = sampling.density_per_m2;
+        let first_piece = self.graph.tasks.len() as u32;
+        for (faces, samples) in pieces(mesh.face_count).zip(&sampling.piece_samples) {
+            let family = trace_family(&receiver, &faces, density_per_m2, self.level, self.lane);
+            let (first_face, face_count) = (faces.start, faces.len() as u32);
+            let work = Work::Trace(TraceWork { instance, first_face, face_count, density_per_m2, alone: false });
+            let task = PlannedTask::new(work, family, samples * u64::from(self.level.sampling.rays_per_sample));
+            self.graph.add(PlannedTask { surroundings: Some(group), ..task }, []);
+        }
+        let work = Work::Solve(SolveWork { instance, vertex_count: mesh.vertex_count, alone: false });
+        let family = solve_family(&receiver, self.level, self.lane);
+        let solve = PlannedTask::new(work, family, u64::from(mesh.vertex_count));
+        let all_pieces = first_piece..self.graph.tasks.len() as u32;
+        self.graph.add(PlannedTask { output: Some(Output::Solution { instance }), ..solve }, all_pieces)
+    }
 }
 
 struct Receiver {
@@ -134,11 +151,12 @@ fn add_place(builder: &mut DigestBuilder, place: &DAffine3) {
 
 /// Everything that can stop a ray of each group of receivers, in the order that ties are decided by.
 fn occluder_roots(level: &Level, reach: &Reach) -> Vec<Digest> {
-    let occluder = |instance: &kiln_core::Instance| {
+    let occluder = |instance: &Instance| {
         let mut builder = DigestBuilder::new("kiln occluder");
         builder.digest(&level.meshes[instance.mesh as usize].digest);
         add_place(&mut builder, &instance.world_from_object);
-        builder.finish()
+        // Its density depends on the shrubs around it, which may be beyond the reach.
+        builder.value(&instance.fog).finish()
     };
     let occluders: Vec<Digest> = level.instances.iter().map(occluder).collect();
     (0..reach.group_count()).map(|group| occluder_root(level, &occluders, reach.occluders(group))).collect()
@@ -167,6 +185,9 @@ fn trace_family(receiver: &Receiver, faces: &Range<u32>, density: f64, level: &L
         builder.integer(u64::from(count));
     }
     builder.float(s.back_face_limit).integer(s.seed).value(&s.target).value(&s.no_skip);
+    if [Class::Tree, Class::Shrub].iter().any(|class| level.counts.classes.get(class).is_some_and(|faces| *faces > 0)) {
+        builder.value(&s.foliage);
+    }
     builder.finish()
 }
 
@@ -183,7 +204,7 @@ mod tests {
     use super::*;
     use glam::DVec3;
     use kiln_core::{
-        BakeSettings, Bounds, Instance, Kernel, LevelCounts, MeshEntry, Sampling, SkipRule, SolveSettings,
+        BakeSettings, Bounds, Instance, Kernel, LevelCounts, MeshEntry, Sampling, SkipRule, SolveSettings, TaskKey,
     };
 
     fn level() -> Level {
@@ -194,6 +215,7 @@ mod tests {
             face_count,
             duplicate_faces: 0,
             bounds: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
+            center: DVec3::ZERO,
             source_mesh: 0,
             blocks: Vec::new(),
         };
@@ -204,6 +226,8 @@ mod tests {
             gpu_instance: None,
             world_from_object: DAffine3::from_translation(DVec3::X * x),
             receives: true,
+            gets: Gets::Vertices,
+            fog: None,
         };
         Level {
             origin_m: DVec3::ZERO,
@@ -220,6 +244,7 @@ mod tests {
                 max_samples_per_face: 64,
                 back_face_limit: 0.25,
                 seed: 0,
+                foliage: kiln_core::FoliageMode::default(),
                 ground_plane_y_m: None,
                 no_skip: std::collections::BTreeSet::new(),
             },
@@ -231,6 +256,10 @@ mod tests {
     }
 
     fn graph(level: &Level) -> TaskGraph {
+        with_foliage(level, &FoliagePlan::default())
+    }
+
+    fn with_foliage(level: &Level, foliage: &FoliagePlan) -> TaskGraph {
         let sampling: Vec<InstanceSampling> = level
             .instances
             .iter()
@@ -242,7 +271,71 @@ mod tests {
             .collect();
         let lane = Lane { trace: "cpu".into(), solve: "portable".into() };
         let seen: Vec<Bounds> = level.instances.iter().map(|i| seen(level, i)).collect();
-        plan(Digest::default(), level, &lane, &sampling, &Reach::new(level, &seen)).unwrap()
+        plan(Digest::default(), level, &lane, &sampling, foliage, &Reach::new(level, &seen)).unwrap()
+    }
+
+    /// Instance 1 a tree, instance 2 a shrub beside the wall.
+    fn planted() -> (Level, FoliagePlan) {
+        let mut level = level();
+        level.instances[1].gets = Gets::Global;
+        level.instances[2].gets = Gets::Scalar;
+        let sampling = InstanceSampling { density_per_m2: 2.0, piece_samples: vec![48] };
+        let batch = |first_brick| VolumePlan {
+            first_brick,
+            brick_count: 2,
+            voxel_count: 300,
+            voxels: Digest::of(&[first_brick as u8]),
+            trees: vec![1],
+        };
+        let foliage = FoliagePlan {
+            models: vec![ModelPlan { mesh: 1, instances: vec![1], scale: 1.0, sampling }],
+            volume: vec![batch(0), batch(2)],
+            runs: vec![RunPlan { first: 0, instances: vec![2], near: vec![0], ray_count: 1024 }],
+        };
+        (level, foliage)
+    }
+
+    #[test]
+    fn foliage_has_tasks_of_its_own() {
+        let (level, foliage) = planted();
+        let graph = with_foliage(&level, &foliage);
+        graph.check(Digest::default()).unwrap();
+        let kinds: Vec<TaskKind> = graph.tasks.iter().map(|task| task.work.kind()).collect();
+        use TaskKind::{Fit, Read, Solve, Trace, Volume};
+        assert_eq!(kinds, [Trace, Trace, Trace, Solve, Trace, Solve, Volume, Volume, Fit, Read]);
+        assert_eq!((graph.inputs_of(8), graph.inputs_of(9)), (&[5, 6, 7][..], &[3][..]));
+        let outputs: Vec<Output> = graph.tasks.iter().filter_map(|task| task.output).collect();
+        let scalars = Output::Scalars { first: 0, count: 1 };
+        assert_eq!(outputs, [Output::Solution { instance: 0 }, Output::Trees { mesh: 1 }, scalars]);
+        assert_eq!(graph.tasks[6].cost, 300 * 1024);
+    }
+
+    #[test]
+    fn tasks_of_foliage_know_what_they_depend_on() {
+        let (level, foliage) = planted();
+        let key = |graph: &TaskGraph, task: usize| graph.key(&graph.tasks[task], &[]);
+        let before = with_foliage(&level, &foliage);
+        let keys = |graph: &TaskGraph| (4..10).map(|task| key(graph, task)).collect::<Vec<_>>();
+        let same = |level: &Level, foliage: &FoliagePlan| {
+            let after = with_foliage(level, foliage);
+            keys(&before).iter().zip(keys(&after)).map(|(a, b)| *a == b).collect::<Vec<_>>()
+        };
+        // What stands around a model is no part of its own light; a tree that moves changes its fit.
+        let mut moved = level.clone();
+        moved.instances[0].world_from_object.translation.x += 0.5;
+        assert_eq!(same(&moved, &foliage), [true, true, false, false, true, false]);
+        moved = level.clone();
+        moved.instances[1].world_from_object.translation.x += 0.5;
+        assert_eq!(same(&moved, &foliage), [true, true, false, false, false, false]);
+        let mut other = foliage.clone();
+        other.models[0].scale = 2.0;
+        assert_eq!(same(&level, &other), [false, false, true, true, true, true]);
+        other = foliage.clone();
+        other.volume[1].voxels = Digest::of(b"more");
+        assert_eq!(same(&level, &other), [true, true, true, false, true, true]);
+        let mut blended = level.clone();
+        blended.output.blend = Some(vec![0.5, 0.5]);
+        assert_eq!(same(&blended, &foliage), [true, true, true, true, false, true]);
     }
 
     fn seen(level: &Level, instance: &Instance) -> Bounds {
@@ -259,8 +352,16 @@ mod tests {
         level
     }
 
+    fn traces(graph: &TaskGraph) -> impl Iterator<Item = (&PlannedTask, &TraceWork)> {
+        graph.tasks.iter().filter_map(|task| match &task.work {
+            Work::Trace(piece) => Some((task, piece)),
+            _ => None,
+        })
+    }
+
     fn keys(level: &Level) -> Vec<TaskKey> {
-        graph(level).trace.iter().map(|t| t.key).collect()
+        let graph = graph(level);
+        traces(&graph).map(|(task, _)| graph.key(task, &[])).collect()
     }
 
     #[test]
@@ -279,18 +380,31 @@ mod tests {
     fn the_graph_has_what_the_level_needs() {
         let mut level = level();
         let full = graph(&level);
-        assert_eq!((full.trace.len(), full.solve.len()), (5, 3));
-        assert_eq!(full.trace.iter().map(|t| t.face_count).sum::<u32>(), 2500 + 12 + 12);
-        assert_eq!(full.trace[0].ray_count, 1024 * 4 * 32);
-        for solve in &full.solve {
-            let traces = &full.trace[solve.first_trace as usize..][..solve.trace_count as usize];
-            assert!(traces.iter().all(|t| t.instance == solve.instance));
+        full.check(Digest::default()).unwrap();
+        assert_eq!((traces(&full).count(), full.tasks.len()), (5, 8));
+        assert_eq!(traces(&full).map(|(_, piece)| piece.face_count).sum::<u32>(), 2500 + 12 + 12);
+        assert_eq!(full.tasks[0].cost, 1024 * 4 * 32);
+        let solves = [(3, 0, 7500, vec![0, 1, 2]), (5, 1, 36, vec![4]), (7, 2, 36, vec![6])];
+        for (task, instance, vertex_count, inputs) in solves {
+            assert_eq!(full.tasks[task].work, Work::Solve(SolveWork { instance, vertex_count, alone: false }));
+            assert_eq!(full.tasks[task].output, Some(Output::Solution { instance }));
+            assert_eq!(full.inputs_of(task as u32), inputs);
         }
         level.instances[0].receives = false;
         let less = graph(&level);
-        assert_eq!((less.trace.len(), less.solve.len()), (2, 2));
+        less.check(Digest::default()).unwrap();
+        assert_eq!((traces(&less).count(), less.tasks.len()), (2, 4));
         // What is left out still occludes: keys of the rest do not change.
-        assert_eq!(less.trace.iter().map(|t| t.key).collect::<Vec<_>>(), keys(&self::level())[3..]);
+        assert_eq!(keys(&level), keys(&self::level())[3..]);
+    }
+
+    /// Fails when the plan changes: raise `TaskKind::Plan`'s kernel revision, and put both here. Keys of traces change with
+    /// that kind's revision too.
+    #[test]
+    fn the_plan_is_that_of_its_revision() {
+        let digest = Digest::of(&kiln_core::codec::encode(&graph(&level()))).short();
+        let revisions = [TaskKind::Plan, TaskKind::Trace, TaskKind::Solve].map(TaskKind::kernel_rev);
+        assert_eq!((revisions, digest.as_str()), ([5, 7, 4], "d65a43ae"));
     }
 
     #[test]
@@ -307,7 +421,7 @@ mod tests {
         moved.instances[2].world_from_object.translation.x += 1e-9;
         let after = keys(&moved);
         assert!(after.iter().zip(&before).all(|(a, b)| a != b), "every piece sees another occluder");
-        let families = |level: &Level| graph(level).trace.iter().map(|t| t.family).collect::<Vec<_>>();
+        let families = |level: &Level| traces(&graph(level)).map(|(task, _)| task.family).collect::<Vec<_>>();
         assert_eq!(families(&moved)[..4], families(&base)[..4], "the families of the others are as they were");
         assert_ne!(families(&moved)[4], families(&base)[4]);
 
@@ -323,6 +437,22 @@ mod tests {
             change(&mut changed.sampling);
             assert!(keys(&changed).iter().zip(&before).all(|(a, b)| a != b));
         }
+    }
+
+    #[test]
+    fn keys_know_of_foliage() {
+        let mut base = level();
+        let mut changed = base.clone();
+        changed.sampling.foliage = kiln_core::FoliageMode::Attenuate;
+        assert_eq!(keys(&changed), keys(&base), "a level without foliage is not asked what it does");
+        for level in [&mut base, &mut changed] {
+            level.counts.classes.insert(Class::Tree, 12);
+        }
+        assert!(keys(&changed).iter().zip(keys(&base)).all(|(a, b)| *a != b));
+        let mut denser = base.clone();
+        let fog = kiln_core::Fog { bounds: denser.meshes[1].bounds, density_per_m: 0.5 };
+        denser.instances[2].fog = Some(fog);
+        assert!(keys(&denser).iter().zip(keys(&base)).all(|(a, b)| *a != b));
     }
 
     #[test]

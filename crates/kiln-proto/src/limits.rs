@@ -29,8 +29,8 @@ pub const SOURCE_FILES: usize = 16_384;
 /// Most bytes of a path in a source.
 pub const PATH_BYTES: usize = 4096;
 
-/// Most pieces of an instance, and so digests in a solve task.
-pub const PIECES: usize = 400_000;
+/// Most inputs of a task, such as the moments of an instance's pieces.
+pub const INPUTS: usize = kiln_core::MAX_INPUTS;
 
 /// Most bytes of a request id, upload id or worker id.
 pub const ID_BYTES: usize = 128;

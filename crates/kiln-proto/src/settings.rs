@@ -5,7 +5,8 @@ use crate::{
     limits, v1,
 };
 use kiln_core::{
-    Attribute, BakeSettings, ColorMode, MAX_CHANNELS, OutputSettings, Quality, Remap, SkipRule, ValueFormat,
+    Attribute, BakeSettings, ColorMode, FoliageMode, MAX_CHANNELS, OutputSettings, Quality, Remap, SkipRule,
+    ValueFormat,
 };
 use std::collections::BTreeSet;
 
@@ -32,6 +33,7 @@ impl From<&BakeSettings> for v1::BakeSettings {
             back_face_limit: Some(settings.back_face_limit),
             regularization: Some(settings.regularization),
             ground_plane: settings.ground_plane,
+            foliage: v1::FoliageMode::from(settings.foliage).into(),
             drop_bad_faces: settings.drop_bad_faces,
             only: settings.only.clone(),
             seed: settings.seed,
@@ -52,6 +54,12 @@ impl TryFrom<v1::BakeSettings> for BakeSettings {
             v1::Quality::Medium => Quality::Medium,
             v1::Quality::High => Quality::High,
             v1::Quality::Reference => Quality::Reference,
+        };
+        let foliage = match settings.foliage() {
+            v1::FoliageMode::Unspecified => default.foliage,
+            v1::FoliageMode::Expected => FoliageMode::Expected,
+            v1::FoliageMode::Attenuate => FoliageMode::Attenuate,
+            v1::FoliageMode::Geometry => FoliageMode::Geometry,
         };
         at_most("half_distances_m", settings.half_distances_m.len(), MAX_CHANNELS)?;
         for (i, &half_distance_m) in settings.half_distances_m.iter().enumerate() {
@@ -89,12 +97,23 @@ impl TryFrom<v1::BakeSettings> for BakeSettings {
             back_face_limit: in_range("back_face_limit", back_face_limit, 0.0..=1.0)?,
             regularization: in_range("regularization", regularization, 0.0..=f64::MAX)?,
             ground_plane: settings.ground_plane,
+            foliage,
             drop_bad_faces: settings.drop_bad_faces,
             only: settings.only,
             seed: settings.seed,
             no_skip: rules(&settings.no_skip)?,
             output: output.try_into().map_err(|e: FieldError| e.within("output"))?,
         })
+    }
+}
+
+impl From<FoliageMode> for v1::FoliageMode {
+    fn from(mode: FoliageMode) -> Self {
+        match mode {
+            FoliageMode::Expected => Self::Expected,
+            FoliageMode::Attenuate => Self::Attenuate,
+            FoliageMode::Geometry => Self::Geometry,
+        }
     }
 }
 
@@ -255,10 +274,12 @@ mod tests {
         );
         let quality = select(vec![Quality::Low, Quality::Medium, Quality::High, Quality::Reference]);
         let rules = prop::sample::subsequence(SkipRule::ALL.to_vec(), 0..=SkipRule::ALL.len());
-        let quality = (quality, rules);
+        let modes = select(vec![FoliageMode::Expected, FoliageMode::Attenuate, FoliageMode::Geometry]);
+        let quality = (quality, rules, modes);
         (counts, floats, quality, option::of("[a-z*]{0,8}"), any_output()).prop_map(|(n, f, quality, only, output)| {
             BakeSettings {
                 quality: quality.0,
+                foliage: quality.2,
                 no_skip: quality.1.into_iter().collect(),
                 rays_per_sample: n.0.map(|bits| 1 << bits),
                 max_samples_per_face: n.1,

@@ -4,7 +4,9 @@ use crate::{
     field::{FieldError, digest, digests, required, text},
     limits, v1,
 };
-use kiln_core::{ExportSpec, Lane, PlanSpec, TaskKey, TaskKind, TaskSpec, TraceTask};
+use kiln_core::{
+    ExportSpec, FitWork, Lane, PlanSpec, ReadWork, SolveWork, TaskKind, TaskSpec, TraceWork, VolumeWork, Work, WorkSpec,
+};
 
 impl From<TaskKind> for v1::TaskKind {
     fn from(kind: TaskKind) -> Self {
@@ -13,6 +15,9 @@ impl From<TaskKind> for v1::TaskKind {
             TaskKind::Plan => Self::Plan,
             TaskKind::Trace => Self::Trace,
             TaskKind::Solve => Self::Solve,
+            TaskKind::Volume => Self::Volume,
+            TaskKind::Fit => Self::Fit,
+            TaskKind::Read => Self::Read,
             TaskKind::Export => Self::Export,
         }
     }
@@ -27,6 +32,9 @@ impl TryFrom<v1::TaskKind> for TaskKind {
             v1::TaskKind::Plan => Ok(Self::Plan),
             v1::TaskKind::Trace => Ok(Self::Trace),
             v1::TaskKind::Solve => Ok(Self::Solve),
+            v1::TaskKind::Volume => Ok(Self::Volume),
+            v1::TaskKind::Fit => Ok(Self::Fit),
+            v1::TaskKind::Read => Ok(Self::Read),
             v1::TaskKind::Export => Ok(Self::Export),
             v1::TaskKind::Unspecified => Err(FieldError::new("kind", "is missing or unknown")),
         }
@@ -61,25 +69,15 @@ impl From<&TaskSpec> for v1::TaskSpec {
             TaskSpec::Plan(plan) => {
                 Spec::Plan(v1::PlanTask { level: plan.level.0.to_vec(), lane: Some((&plan.lane).into()) })
             }
-            TaskSpec::Trace { level, task } => Spec::Trace(v1::TraceTask {
-                level: level.0.to_vec(),
-                key: task.key.0.0.to_vec(),
-                family: task.family.0.to_vec(),
-                instance: task.instance,
-                first_face: task.first_face,
-                face_count: task.face_count,
-                density_per_m2: task.density_per_m2,
-                ray_count: task.ray_count,
-            }),
-            TaskSpec::Solve { level, instance, moments } => Spec::Solve(v1::SolveTask {
-                level: level.0.to_vec(),
-                instance: *instance,
-                moments: moments.iter().map(|digest| digest.0.to_vec()).collect(),
+            TaskSpec::Work(spec) => Spec::Work(v1::WorkTask {
+                level: spec.level.0.to_vec(),
+                inputs: spec.inputs.iter().map(|digest| digest.0.to_vec()).collect(),
+                work: Some((&spec.work).into()),
             }),
             TaskSpec::Export(export) => Spec::Export(v1::ExportTask {
                 source: export.source.0.to_vec(),
                 level: export.level.0.to_vec(),
-                solutions: export.solutions.0.to_vec(),
+                outputs: export.outputs.0.to_vec(),
             }),
         };
         Self { spec: Some(spec) }
@@ -97,42 +95,77 @@ impl TryFrom<v1::TaskSpec> for TaskSpec {
                 level: digest("plan.level", &plan.level)?,
                 lane: required("plan.lane", plan.lane)?.try_into().map_err(|e: FieldError| e.within("plan.lane"))?,
             })),
-            Spec::Trace(task) => trace(&task).map_err(|e| e.within("trace")),
-            Spec::Solve(solve) => Ok(Self::Solve {
-                level: digest("solve.level", &solve.level)?,
-                instance: solve.instance,
-                moments: digests("solve.moments", &solve.moments, limits::PIECES)?,
-            }),
+            Spec::Work(task) => Ok(Self::Work(WorkSpec {
+                level: digest("work.level", &task.level)?,
+                inputs: digests("work.inputs", &task.inputs, limits::INPUTS)?,
+                work: required("work.work", task.work)?.try_into().map_err(|e: FieldError| e.within("work"))?,
+            })),
             Spec::Export(export) => Ok(Self::Export(ExportSpec {
                 source: digest("export.source", &export.source)?,
                 level: digest("export.level", &export.level)?,
-                solutions: digest("export.solutions", &export.solutions)?,
+                outputs: digest("export.outputs", &export.outputs)?,
             })),
         }
     }
 }
 
-fn trace(task: &v1::TraceTask) -> Result<TaskSpec, FieldError> {
-    if task.face_count == 0 || task.first_face.checked_add(task.face_count).is_none() {
-        let problem = format!("is {} from face {}; a piece is a run of faces", task.face_count, task.first_face);
+impl From<&Work> for v1::work_task::Work {
+    fn from(work: &Work) -> Self {
+        match work {
+            Work::Trace(TraceWork { instance, first_face, face_count, density_per_m2, alone }) => {
+                Self::Trace(v1::TraceWork {
+                    instance: *instance,
+                    first_face: *first_face,
+                    face_count: *face_count,
+                    density_per_m2: *density_per_m2,
+                    alone: *alone,
+                })
+            }
+            Work::Solve(SolveWork { instance, vertex_count, alone }) => {
+                Self::Solve(v1::SolveWork { instance: *instance, vertex_count: *vertex_count, alone: *alone })
+            }
+            Work::Volume(VolumeWork { first_brick, brick_count }) => {
+                Self::Volume(v1::VolumeWork { first_brick: *first_brick, brick_count: *brick_count })
+            }
+            Work::Fit(FitWork { mesh, vertex_count, instance_count }) => {
+                Self::Fit(v1::FitWork { mesh: *mesh, vertex_count: *vertex_count, instance_count: *instance_count })
+            }
+            Work::Read(ReadWork { first, count }) => Self::Read(v1::ReadWork { first: *first, count: *count }),
+        }
+    }
+}
+
+impl TryFrom<v1::work_task::Work> for Work {
+    type Error = FieldError;
+
+    fn try_from(work: v1::work_task::Work) -> Result<Self, FieldError> {
+        match work {
+            v1::work_task::Work::Trace(work) => trace(work).map_err(|e| e.within("trace")),
+            v1::work_task::Work::Solve(v1::SolveWork { instance, vertex_count, alone }) => {
+                Ok(Self::Solve(SolveWork { instance, vertex_count, alone }))
+            }
+            v1::work_task::Work::Volume(v1::VolumeWork { first_brick, brick_count }) => {
+                Ok(Self::Volume(VolumeWork { first_brick, brick_count }))
+            }
+            v1::work_task::Work::Fit(v1::FitWork { mesh, vertex_count, instance_count }) => {
+                Ok(Self::Fit(FitWork { mesh, vertex_count, instance_count }))
+            }
+            v1::work_task::Work::Read(v1::ReadWork { first, count }) => Ok(Self::Read(ReadWork { first, count })),
+        }
+    }
+}
+
+fn trace(work: v1::TraceWork) -> Result<Work, FieldError> {
+    let v1::TraceWork { instance, first_face, face_count, density_per_m2, alone } = work;
+    if face_count == 0 || first_face.checked_add(face_count).is_none() {
+        let problem = format!("is {face_count} from face {first_face}; a piece is a run of faces");
         return Err(FieldError::new("face_count", problem));
     }
-    if !(task.density_per_m2 >= 0.0 && task.density_per_m2.is_finite()) {
-        let problem = format!("is {}; it must be finite and not negative", task.density_per_m2);
+    if !(density_per_m2 >= 0.0 && density_per_m2.is_finite()) {
+        let problem = format!("is {density_per_m2}; it must be finite and not negative");
         return Err(FieldError::new("density_per_m2", problem));
     }
-    Ok(TaskSpec::Trace {
-        level: digest("level", &task.level)?,
-        task: TraceTask {
-            key: TaskKey(digest("key", &task.key)?),
-            family: digest("family", &task.family)?,
-            instance: task.instance,
-            first_face: task.first_face,
-            face_count: task.face_count,
-            density_per_m2: task.density_per_m2,
-            ray_count: task.ray_count,
-        },
-    })
+    Ok(Work::Trace(TraceWork { instance, first_face, face_count, density_per_m2, alone }))
 }
 
 #[cfg(test)]
@@ -145,14 +178,22 @@ mod tests {
         any::<[u8; 32]>().prop_map(Digest)
     }
 
-    fn any_trace() -> impl Strategy<Value = TaskSpec> {
-        let numbers = (any::<u32>(), 0..=u32::MAX / 2, 1..=u32::MAX / 2, 0.0..1e9f64, any::<u64>());
-        (any_digest(), any_digest(), any_digest(), numbers).prop_map(|(level, key, family, n)| {
-            let (instance, first_face, face_count, density_per_m2, ray_count) = n;
-            let key = TaskKey(key);
-            let task = TraceTask { key, family, instance, first_face, face_count, density_per_m2, ray_count };
-            TaskSpec::Trace { level, task }
-        })
+    fn any_work() -> impl Strategy<Value = Work> {
+        let trace = (any::<u32>(), 0..=u32::MAX / 2, 1..=u32::MAX / 2, 0.0..1e9f64, any::<bool>()).prop_map(
+            |(instance, first_face, face_count, density_per_m2, alone)| {
+                Work::Trace(TraceWork { instance, first_face, face_count, density_per_m2, alone })
+            },
+        );
+        let numbers = || (any::<u32>(), any::<u32>(), any::<u32>());
+        let solve = (any::<u32>(), any::<u32>(), any::<bool>());
+        let solve =
+            solve.prop_map(|(instance, vertex_count, alone)| Work::Solve(SolveWork { instance, vertex_count, alone }));
+        let volume =
+            numbers().prop_map(|(first_brick, brick_count, _)| Work::Volume(VolumeWork { first_brick, brick_count }));
+        let fit = numbers()
+            .prop_map(|(mesh, vertex_count, instance_count)| Work::Fit(FitWork { mesh, vertex_count, instance_count }));
+        let read = numbers().prop_map(|(first, count, _)| Work::Read(ReadWork { first, count }));
+        prop_oneof![trace, solve, volume, fit, read]
     }
 
     fn any_spec() -> impl Strategy<Value = TaskSpec> {
@@ -160,11 +201,10 @@ mod tests {
         prop_oneof![
             any_digest().prop_map(|source| TaskSpec::Import { source }),
             (any_digest(), lane).prop_map(|(level, lane)| TaskSpec::Plan(PlanSpec { level, lane })),
-            any_trace(),
-            (any_digest(), any::<u32>(), prop::collection::vec(any_digest(), 0..5))
-                .prop_map(|(level, instance, moments)| TaskSpec::Solve { level, instance, moments }),
+            (any_digest(), any_work(), prop::collection::vec(any_digest(), 0..5))
+                .prop_map(|(level, work, inputs)| TaskSpec::Work(WorkSpec { level, work, inputs })),
             (any_digest(), any_digest(), any_digest())
-                .prop_map(|(source, level, solutions)| TaskSpec::Export(ExportSpec { source, level, solutions })),
+                .prop_map(|(source, level, outputs)| TaskSpec::Export(ExportSpec { source, level, outputs })),
         ]
     }
 
@@ -189,12 +229,19 @@ mod tests {
         }
     }
 
+    /// That each kind has a value of its own, and each value a kind, the compiler sees; here, that they are each other's,
+    /// and that no kind is left out of the list.
     #[test]
     fn kinds_and_back() {
         for kind in TaskKind::ALL {
             assert_eq!(TaskKind::try_from(v1::TaskKind::from(kind)), Ok(kind));
+            let name = format!("TASK_KIND_{}", kind.name().to_uppercase());
+            assert_eq!(v1::TaskKind::from(kind).as_str_name(), name);
         }
-        assert!(TaskKind::try_from(v1::TaskKind::Unspecified).is_err());
+        let values = (0..1000).filter_map(|value| v1::TaskKind::try_from(value).ok());
+        let (kinds, others): (Vec<_>, Vec<_>) = values.partition(|&value| TaskKind::try_from(value).is_ok());
+        assert_eq!(others, [v1::TaskKind::Unspecified]);
+        assert_eq!(kinds.len(), TaskKind::ALL.len(), "TaskKind::ALL lacks a kind");
     }
 
     #[test]
@@ -206,9 +253,14 @@ mod tests {
         let good = vec![0; 32];
         let plan = v1::PlanTask { level: good.clone(), lane: Some(v1::Lane::default()) };
         assert_eq!(field(Some(Spec::Plan(plan))), "plan.lane.trace");
-        let solve = v1::SolveTask { level: good.clone(), instance: 0, moments: vec![good.clone(), vec![]] };
-        assert_eq!(field(Some(Spec::Solve(solve))), "solve.moments[1]");
-        let trace = v1::TraceTask { density_per_m2: f64::NAN, face_count: 1, ..Default::default() };
-        assert_eq!(field(Some(Spec::Trace(trace))), "trace.density_per_m2");
+        let work = |work, inputs| Some(Spec::Work(v1::WorkTask { level: vec![0; 32], inputs, work }));
+        let solve = v1::work_task::Work::Solve(v1::SolveWork { instance: 0, vertex_count: 3, alone: false });
+        assert_eq!(field(work(Some(solve), vec![good, vec![]])), "work.inputs[1]");
+        assert_eq!(field(work(None, vec![])), "work.work");
+        let trace = |trace| field(work(Some(v1::work_task::Work::Trace(trace)), vec![]));
+        let piece = v1::TraceWork { instance: 0, first_face: 1, face_count: 1, density_per_m2: 1.0, alone: false };
+        assert_eq!(trace(v1::TraceWork { density_per_m2: f64::NAN, ..piece }), "work.trace.density_per_m2");
+        assert_eq!(trace(v1::TraceWork { face_count: 0, ..piece }), "work.trace.face_count");
+        assert_eq!(trace(v1::TraceWork { face_count: u32::MAX, ..piece }), "work.trace.face_count");
     }
 }

@@ -3,6 +3,7 @@
 use crate::{
     SceneError, SourceFiles,
     accessor::Accessor,
+    composed::{Columns, Numbers},
     document::{Document, name_of, read_level},
     export::RESIDUAL,
     extensions::check_required,
@@ -43,9 +44,9 @@ pub struct BakedPart {
     pub faces: Vec<[u32; 3]>,
     /// Both sides are seen.
     pub double_sided: bool,
-    /// Components of `_AO`; 0 if the primitive has none.
+    /// Components of `_AO`, or of the number that the instance has; 0 if there is neither.
     pub channels: usize,
-    /// `vertices × channels` values of `_AO`.
+    /// `vertices × channels` values: `_AO`, times the function of a tree's instance, or the number of a shrub.
     pub ao: Vec<f32>,
     /// Components of `_AO_RESIDUAL`; 0 if the primitive has none.
     pub residual_channels: usize,
@@ -62,11 +63,11 @@ pub fn read_baked(name: &str, files: &dyn SourceFiles) -> Result<BakedScene, Sce
     let document = Document::parse(name, &bytes, files)?;
     check_required(&document)?;
     let materials = materials(&document)?;
-    let (mut parts, mut unreadable) = (Vec::new(), Vec::new());
+    let (mut parts, mut unreadable, mut nodes) = (Vec::new(), Vec::new(), Columns::new());
     for placement in placements(&document, &mut Findings::default())? {
         let Some(mesh) = document.list("meshes")?.get(placement.mesh) else { continue };
         for (index, primitive) in mesh.list("primitives")?.iter().enumerate() {
-            match read_part(&document, &placement, &mesh, (index as u32, &primitive), &materials) {
+            match read_part(&document, &placement, &mesh, (index as u32, &primitive), &materials, &mut nodes) {
                 Ok(part) => parts.extend(part),
                 Err(error) if primitive.get("attributes").is_none_or(|a| a.get("_AO").is_none()) => {
                     unreadable.push(error);
@@ -89,6 +90,7 @@ fn read_part(
     mesh: &Item<'_>,
     (index, primitive): (u32, &Item<'_>),
     materials: &[Material],
+    nodes: &mut Columns,
 ) -> Result<Option<BakedPart>, SceneError> {
     let Some(topology) = Topology::of(primitive)? else { return Ok(None) };
     let attributes = primitive.require("attributes")?;
@@ -101,9 +103,14 @@ fn read_part(
         None => Ok((0, Vec::new())),
         Some(reference) => read_numbers(document, &reference, opened.position.count),
     };
-    let ((channels, ao), (residual_channels, residual)) = (numbers("_AO")?, numbers(RESIDUAL)?);
+    let (ao, (residual_channels, residual)) = (numbers("_AO")?, numbers(RESIDUAL)?);
     let world = placement.world_from_object;
     let positions = opened.position.vectors::<3>()?;
+    let composed = Numbers::read(document, placement, mesh, nodes)?;
+    let (channels, ao) = match &composed {
+        Some(numbers) => numbers.compose(&positions, ao),
+        None => ao,
+    };
     let mut faces = opened.triangles()?;
     faces.retain(|face| face.iter().all(|&vertex| is_good(&opened, &positions, vertex)));
     if world.matrix3.determinant() < 0.0 {
@@ -132,7 +139,14 @@ fn is_good(primitive: &Primitive<'_>, positions: &[[f32; 3]], vertex: u32) -> bo
 
 /// What a primitive is opened as where classes don't matter.
 fn plain_group() -> FaceGroup {
-    FaceGroup { class: Class::Opaque, double_sided: false, occludes: true, receives: true, max_samples_per_face: None }
+    FaceGroup {
+        class: Class::Opaque,
+        double_sided: false,
+        occludes: true,
+        foliage: None,
+        receives: true,
+        max_samples_per_face: None,
+    }
 }
 
 /// Components and values of an attribute of any width.

@@ -4,10 +4,13 @@
 //! does, `extras.kiln.class` of the node, of the mesh or of the material, in this order; else it is `opaque`.
 
 use crate::{SceneError, json::Item, material::Material, sidecar::ClassRule};
-use kiln_core::{Class, FaceGroup};
+use kiln_core::{Class, Density, FaceGroup, Foliage, FoliageMode, OpticalDepth};
 
 /// Samples per face of a distant object whose rule sets none.
 const DISTANT_SAMPLES_PER_FACE: u32 = 4;
+
+/// What each face of a tree keeps whose rule says nothing (Sloan et al. 2013, section 2.1).
+const TRANSMITTANCE_PER_CROSSING: f64 = 0.5;
 
 const CLASSES: [(&str, Class); 6] = [
     ("opaque", Class::Opaque),
@@ -52,21 +55,40 @@ pub(crate) struct Subject<'a> {
 }
 
 /// What the faces of a subject are to the bake, and the index of the rule that says so.
-pub(crate) fn classify(rules: &[ClassRule], subject: &Subject<'_>) -> (Class, FaceGroup, Option<usize>) {
+pub(crate) fn classify(
+    rules: &[ClassRule],
+    mode: FoliageMode,
+    subject: &Subject<'_>,
+) -> (Class, FaceGroup, Option<usize>) {
     let names = [subject.node, subject.mesh, &subject.material.name];
     let rule = rules.iter().position(|rule| names.iter().any(|name| !name.is_empty() && rule.matches(name)));
     let from_rule = rule.map(|index| &rules[index]);
     let class = from_rule.map(|rule| rule.class).or(subject.extras).or(subject.material.class).unwrap_or_default();
     let default_cap = (class == Class::Distant).then_some(DISTANT_SAMPLES_PER_FACE);
+    let foliage = if mode == FoliageMode::Geometry { None } else { foliage(class, from_rule) };
+    let stops = foliage.is_none() && class != Class::Decorator && !subject.material.transparent;
     let group = FaceGroup {
         class,
         double_sided: subject.material.double_sided,
-        occludes: from_rule.and_then(|rule| rule.occludes).unwrap_or(!subject.material.transparent),
+        occludes: from_rule.and_then(|rule| rule.occludes).unwrap_or(stops),
+        foliage,
         receives: from_rule.and_then(|rule| rule.receives).unwrap_or(true),
         max_samples_per_face: from_rule.and_then(|rule| rule.max_samples_per_face).or(default_cap),
     };
-    let inert = class == Class::Ignored || !(group.occludes || group.receives);
+    let inert = class == Class::Ignored || !(group.occludes || group.foliage.is_some() || group.receives);
     (if inert { Class::Ignored } else { class }, group, rule)
+}
+
+/// What faces of a class do to rays that they do not stop; nothing where a rule says whether they stop them.
+fn foliage(class: Class, rule: Option<&ClassRule>) -> Option<Foliage> {
+    let kept = rule.and_then(|rule| rule.transmittance_per_crossing).unwrap_or(TRANSMITTANCE_PER_CROSSING);
+    let density = rule.and_then(|rule| rule.density_per_m).map(|per_m| Density { per_m });
+    match class {
+        _ if rule.is_some_and(|rule| rule.occludes.is_some()) => None,
+        Class::Tree => Some(Foliage::Crossing(OpticalDepth::of_transmittance(kept))),
+        Class::Shrub => Some(Foliage::Fog(density)),
+        _ => None,
+    }
 }
 
 #[cfg(test)]
@@ -84,7 +106,8 @@ mod tests {
         material: &Material,
         extras: Option<Class>,
     ) -> (Class, FaceGroup) {
-        let (class, group, _) = classify(rules, &Subject { node, mesh: "m", material, extras });
+        let subject = Subject { node, mesh: "m", material, extras };
+        let (class, group, _) = classify(rules, FoliageMode::Expected, &subject);
         (class, group)
     }
 
@@ -104,6 +127,27 @@ mod tests {
         let own = Material { class: Some(Class::Ignored), ..Material::default() };
         assert_eq!(classify_node(&rules, "near", &own, None).0, Class::Ignored);
         assert_eq!(classify_node(&rules, "near", &plain, None).0, Class::Opaque);
+    }
+
+    #[test]
+    fn foliage_lets_rays_through() {
+        let rules = rules(
+            "[[class]]\nmatch = 'oak'\nclass = 'tree'\ntransmittance_per_crossing = 0.25\n[[class]]\nmatch = 'trunk'\n\
+             class = 'tree'\noccludes = true\n[[class]]\nmatch = 'bush'\nclass = 'shrub'\ndensity_per_m = 0.5\n\
+             [[class]]\nmatch = 'ghost'\nclass = 'shrub'\noccludes = false\nreceives = false\n",
+        );
+        let of = |node: &str, extras| classify_node(&rules, node, &Material::default(), extras).1;
+        let what = |group: FaceGroup| (group.occludes, group.foliage);
+        assert_eq!(what(of("oak", None)), (false, Some(Foliage::Crossing(OpticalDepth(2 << 16)))));
+        assert_eq!(what(of("n", Some(Class::Tree))), (false, Some(Foliage::Crossing(OpticalDepth(1 << 16)))));
+        assert_eq!(what(of("trunk", None)), (true, None));
+        assert_eq!(what(of("bush", None)), (false, Some(Foliage::Fog(Some(Density { per_m: 0.5 })))));
+        assert_eq!(what(of("n", Some(Class::Shrub))), (false, Some(Foliage::Fog(None))));
+        assert_eq!(what(of("n", Some(Class::Decorator))), (false, None));
+        assert_eq!(classify_node(&rules, "ghost", &Material::default(), None).0, Class::Ignored);
+        // As geometry.
+        let subject = Subject { node: "oak", mesh: "m", material: &Material::default(), extras: None };
+        assert_eq!(what(classify(&rules, FoliageMode::Geometry, &subject).1), (true, None));
     }
 
     #[test]

@@ -150,5 +150,7 @@ pub(crate) fn export_all(
         level_digest,
         version: "1.2.3",
         values: &values,
+        models: &[],
+        numbers: &[],
     })
 }

@@ -18,7 +18,7 @@ use crate::{
     sidecar::ClassRule,
 };
 use globset::GlobMatcher;
-use kiln_core::{Attribute, Class, FaceGroup, Instance, OutputSettings};
+use kiln_core::{Attribute, Class, FaceGroup, FoliageMode, Gets, Instance, OutputSettings};
 use std::collections::{BTreeSet, HashMap};
 
 /// A mesh as some instances need it.
@@ -45,6 +45,7 @@ pub(crate) struct Rules<'r> {
     pub(crate) classes: &'r [ClassRule],
     /// `--only`.
     pub(crate) only: Option<GlobMatcher>,
+    pub(crate) foliage: FoliageMode,
     pub(crate) output: &'r OutputSettings,
 }
 
@@ -130,6 +131,8 @@ impl<'d> Gatherer<'d, '_, '_> {
             gpu_instance: placement.gpu_instance,
             world_from_object: placement.world_from_object,
             receives: groups.iter().flatten().any(|group| group.receives) && self.is_wanted(&node_name, placement.mesh),
+            gets: gets(self.rules.foliage, &groups),
+            fog: None,
         };
         if instance.is_flat() {
             findings.add(Finding::FlatInstances, &node_name, 1);
@@ -184,7 +187,7 @@ impl<'d> Gatherer<'d, '_, '_> {
         let mut groups = Vec::with_capacity(mesh.primitives.len());
         for primitive in &mesh.primitives {
             let subject = Subject { node: node_name, mesh: &mesh.name, material: &primitive.material, extras };
-            let (class, group, rule) = classify(self.rules.classes, &subject);
+            let (class, group, rule) = classify(self.rules.classes, self.rules.foliage, &subject);
             self.used_rules.extend(rule);
             if class == Class::Ignored {
                 self.gathered.ignored_faces += stated_face_count(self.document, primitive);
@@ -232,8 +235,6 @@ impl<'d> Gatherer<'d, '_, '_> {
                 Primitive::open(self.document, &primitive.item, primitive.index, primitive.topology, group.clone())?;
             let faces = opened.face_count() as u64;
             findings.add(Finding::AlphaMask, &primitive.material.name, faces * u64::from(primitive.material.masked));
-            let foliage = matches!(group.class, Class::Tree | Class::Shrub | Class::Decorator);
-            findings.add(Finding::Foliage, &format!("{:?}", group.class).to_lowercase(), faces * u64::from(foliage));
             primitives.push(opened);
         }
         self.totals.check(&source.item, &primitives)?;
@@ -241,6 +242,20 @@ impl<'d> Gatherer<'d, '_, '_> {
         self.gathered.variants.push(variant);
         self.variant_of.insert(key, self.gathered.variants.len() - 1);
         Ok(self.gathered.variants.len() - 1)
+    }
+}
+
+/// What an instance gets: values at its vertices, unless it is foliage.
+fn gets(mode: FoliageMode, groups: &Groups) -> Gets {
+    let mut classes = groups.iter().flatten().filter(|group| group.receives).map(|group| group.class);
+    if mode == FoliageMode::Geometry {
+        Gets::Vertices
+    } else if classes.clone().any(|class| class == Class::Tree) {
+        Gets::Global
+    } else if classes.all(|class| matches!(class, Class::Shrub | Class::Decorator)) {
+        Gets::Scalar
+    } else {
+        Gets::Vertices
     }
 }
 

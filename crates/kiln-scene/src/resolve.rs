@@ -126,6 +126,7 @@ pub(crate) fn resolve(
         max_samples_per_face: most,
         back_face_limit: settings.back_face_limit,
         seed: seed(settings),
+        foliage: settings.foliage,
         ground_plane_y_m: (settings.ground_plane && !bounds.is_empty()).then_some(bounds.min.y),
         no_skip: SkipRule::of_sampling(&settings.no_skip),
         kernel,

@@ -20,9 +20,9 @@ pub struct LeaseId(pub u64);
 /// Which kinds of task a worker takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 pub struct Roles {
-    /// Trace tasks.
+    /// Kinds that trace.
     pub trace: bool,
-    /// Import, plan, solve and export tasks.
+    /// All others.
     pub reduce: bool,
 }
 
@@ -32,10 +32,7 @@ impl Roles {
 
     /// Whether the roles include a kind of task.
     pub fn take(self, kind: TaskKind) -> bool {
-        match kind {
-            TaskKind::Trace => self.trace,
-            TaskKind::Import | TaskKind::Plan | TaskKind::Solve | TaskKind::Export => self.reduce,
-        }
+        if kind.traces() { self.trace } else { self.reduce }
     }
 }
 
@@ -59,7 +56,8 @@ pub struct Capabilities {
 /// What a task asks of a worker.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct Requirements {
-    /// The lane, for trace and solve tasks: compared with the worker's lanes for the task's kind. `None` runs anywhere.
+    /// The lane, for kinds whose results depend on one: compared with what the worker offers for that part of it
+    /// ([`TaskKind::lane_part`]). `None` runs anywhere.
     pub lane: Option<String>,
     /// Memory that the task needs.
     pub memory_bytes: u64,

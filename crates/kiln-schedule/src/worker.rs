@@ -1,7 +1,7 @@
 //! Workers, grouped by what they can do.
 
 use crate::{Capabilities, LeaseId, Requirements, WorkerId, job::ClassKey};
-use kiln_core::{Digest, TaskKind};
+use kiln_core::{Digest, LanePart, TaskKind};
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// Levels of a worker that are remembered as at hand.
@@ -17,14 +17,13 @@ pub(crate) fn fits(capabilities: &Capabilities, kind: TaskKind, needs: &Requirem
 /// What a worker lacks, in words.
 pub(crate) fn lacking(capabilities: &Capabilities, kind: TaskKind, needs: &Requirements) -> Option<String> {
     if !capabilities.roles.take(kind) {
-        let role = if kind == TaskKind::Trace { "trace" } else { "reduce" };
+        let role = if kind.traces() { "trace" } else { "reduce" };
         return Some(format!("does not have the role {role}"));
     }
-    let lanes = match kind {
-        TaskKind::Trace => Some(&capabilities.trace_lanes),
-        TaskKind::Solve => Some(&capabilities.solve_lanes),
-        TaskKind::Import | TaskKind::Plan | TaskKind::Export => None,
-    };
+    let lanes = kind.lane_part().map(|part| match part {
+        LanePart::Trace => &capabilities.trace_lanes,
+        LanePart::Solve => &capabilities.solve_lanes,
+    });
     if let (Some(lanes), Some(lane)) = (lanes, &needs.lane)
         && !lanes.contains(lane)
     {

@@ -122,6 +122,7 @@ impl Default for Scene {
             class: kiln_core::Class::Opaque,
             double_sided: false,
             occludes: true,
+            foliage: None,
             receives: true,
             max_samples_per_face: None,
         };

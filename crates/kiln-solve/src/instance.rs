@@ -121,38 +121,16 @@ pub fn solve_with(input: &SolveInput<'_>, params: &SolverParams) -> Result<Solut
 impl SolveInput<'_> {
     fn check(&self) -> Result<(), SolveError> {
         let Self { mesh, moments, settings, .. } = self;
-        let (vertices, faces) = (mesh.positions.len(), mesh.faces.len());
-        if faces > FACE_LIMIT {
-            return Err(SolveError::TooLarge { faces, limit: FACE_LIMIT });
-        }
+        let faces = mesh.faces.len();
         if moments.face_count() != faces {
             return Err(SolveError::FaceCount { faces, moments: moments.face_count() });
         }
-        let lengths = [("normals", mesh.normals.len(), vertices), ("face groups", mesh.face_group.len(), faces)];
-        if let Some((what, found, expected)) = lengths.into_iter().find(|(_, found, expected)| found != expected) {
-            return Err(SolveError::Length { what, found, expected });
-        }
-        for (face, (corners, group)) in mesh.faces.iter().zip(&mesh.face_group).enumerate() {
-            if let Some(&index) = corners.iter().find(|v| **v as usize >= vertices) {
-                return Err(SolveError::Index { face, what: "vertex", index, count: vertices });
-            }
-            if usize::from(*group) >= mesh.groups.len() {
-                let (what, count) = ("group", mesh.groups.len());
-                return Err(SolveError::Index { face, what, index: u32::from(*group), count });
-            }
-        }
-        if let Some(vertex) = mesh.positions.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
-            return Err(SolveError::Position { vertex });
-        }
-        let values = [
+        check_mesh(mesh)?;
+        check_settings(&[
             ("regularization", settings.regularization),
             ("anchor", settings.anchor),
             ("weld_degrees", settings.weld_degrees),
-        ];
-        match values.into_iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0)) {
-            Some((setting, value)) => Err(SolveError::Setting { setting, value }),
-            None => Ok(()),
-        }
+        ])
     }
 
     /// The solution where nothing is known: fully open until the level's other instances fill it.
@@ -172,6 +150,39 @@ impl SolveInput<'_> {
         summary.trace_lanes = self.moments.lanes.clone();
         let (values, residuals) = (at_vertices(weld, values, channels), at_vertices(weld, residuals, channels));
         Solution { channels: channels as u32, values, residuals, unsampled: false, summary }
+    }
+}
+
+/// Whether the arrays of a mesh fit together, its indices are in range and its positions finite.
+pub(crate) fn check_mesh(mesh: &Mesh) -> Result<(), SolveError> {
+    let (vertices, faces) = (mesh.positions.len(), mesh.faces.len());
+    if faces > FACE_LIMIT {
+        return Err(SolveError::TooLarge { faces, limit: FACE_LIMIT });
+    }
+    let lengths = [("normals", mesh.normals.len(), vertices), ("face groups", mesh.face_group.len(), faces)];
+    if let Some((what, found, expected)) = lengths.into_iter().find(|(_, found, expected)| found != expected) {
+        return Err(SolveError::Length { what, found, expected });
+    }
+    for (face, (corners, group)) in mesh.faces.iter().zip(&mesh.face_group).enumerate() {
+        if let Some(&index) = corners.iter().find(|v| **v as usize >= vertices) {
+            return Err(SolveError::Index { face, what: "vertex", index, count: vertices });
+        }
+        if usize::from(*group) >= mesh.groups.len() {
+            let (what, count) = ("group", mesh.groups.len());
+            return Err(SolveError::Index { face, what, index: u32::from(*group), count });
+        }
+    }
+    match mesh.positions.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+        Some(vertex) => Err(SolveError::Position { vertex }),
+        None => Ok(()),
+    }
+}
+
+/// Whether settings are finite and not negative.
+pub(crate) fn check_settings(settings: &[(&'static str, f64)]) -> Result<(), SolveError> {
+    match settings.iter().find(|(_, value)| !(value.is_finite() && *value >= 0.0)) {
+        Some(&(setting, value)) => Err(SolveError::Setting { setting, value }),
+        None => Ok(()),
     }
 }
 

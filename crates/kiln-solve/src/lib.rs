@@ -15,6 +15,8 @@
 //! 7. [`fill`] gives values to what no sample reaches, [`estimate`] the error from the two halves, and [`residual`] says
 //!    where no linear function can hold the signal.
 //!
+//! [`tree`] fits instances of one model to the model's local AO times a linear function of each instance.
+//!
 //! All of it is f64 but for the recurrence of conjugate gradients, whose f32 is refined in f64 ([`pcg`]), with a
 //! fixed order of every sum: the result depends neither on the number of threads nor on
 //! the order in which components are solved. The instruction set matters only inside faer; [`lane`] names it.
@@ -45,6 +47,7 @@ mod schwarz;
 pub mod sparse;
 pub mod surface;
 pub mod system;
+pub mod tree;
 pub mod weld;
 
 pub use chain::{SolverParams, solve_component};
@@ -52,3 +55,8 @@ pub use instance::{SolveError, SolveInput, solve, solve_with};
 pub use lane::lane;
 pub use level::{LevelInstance, fill_unsampled};
 pub use system::{ComponentAnswer, ComponentSystem};
+pub use tree::{
+    AlternateParams, Alternated, ChannelErrors, GLOBAL_BOUND, HalfStep, ModelSample, ModelSamples, SampledLocal,
+    TreeError, TreeFit, TreeInstance, TreeModel, alternate, error_table, fit_blended, fit_global, fit_instance,
+    unit_position,
+};

@@ -52,7 +52,7 @@ impl Stack {
 pub(crate) trait Leaves {
     /// Takes note of what a ray hits in a leaf. The stack is free to use from `top` on.
     fn visit<V: Compiled, const ANY: bool>(
-        &self,
+        &mut self,
         first: u32,
         count: u32,
         ray: &TracedRay,
@@ -72,7 +72,7 @@ pub(crate) struct MeshLeaves<'a> {
 impl Leaves for MeshLeaves<'_> {
     #[inline(always)]
     fn visit<V: Compiled, const ANY: bool>(
-        &self,
+        &mut self,
         first: u32,
         count: u32,
         ray: &TracedRay,
@@ -141,7 +141,7 @@ fn enter<V: Lanes>(node: &WideNode, ray: &TracedRay, t_max: f32) -> ([f32; 8], u
 /// first hit.
 pub(crate) struct Walk<'a, L, const ANY: bool> {
     pub(crate) nodes: &'a [WideNode],
-    pub(crate) leaves: &'a L,
+    pub(crate) leaves: &'a mut L,
     pub(crate) start: u32,
     pub(crate) ray: &'a TracedRay,
     pub(crate) best: &'a mut Hit,

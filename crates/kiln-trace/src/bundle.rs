@@ -104,6 +104,12 @@ impl Hits {
         self.best[ray % BUNDLE]
     }
 
+    /// A ray wants no more.
+    #[inline(always)]
+    pub(crate) fn stop(&mut self, ray: usize) {
+        self.reach.set(ray, -1.0);
+    }
+
     /// With `ANY`, a ray that has hit something wants no more.
     #[inline(always)]
     pub(crate) fn set<const ANY: bool>(&mut self, ray: usize, hit: Hit) {

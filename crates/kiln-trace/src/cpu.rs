@@ -1,9 +1,10 @@
 //! The CPU tracer: bundles of rays on the threads of a pool.
 
 use crate::{
-    CosineSums, Hit, KernelRates, Path, Ray, Scene, SurfaceSample, TraceError, Tracer,
+    CosineSums, Hit, KernelRates, Path, Ray, Scene, SpherePoint, SphereSums, SurfaceSample, TraceError, Tracer,
     levels::Workspace,
     rays::BUNDLE,
+    sphere_gather::GatherSphere,
     stream::{Answer, Gather, Trace},
 };
 use rayon::prelude::*;
@@ -75,6 +76,24 @@ impl Tracer for CpuTracer {
         chunks.with_max_len(1).for_each(|(samples, sums)| {
             WORKSPACE.with_borrow_mut(|workspace| {
                 self.path.run(Gather { scene, kernel, rays_per_sample, samples, sums, workspace });
+            });
+        });
+        Ok(())
+    }
+
+    fn gather_sphere(
+        &self,
+        points: &[SpherePoint],
+        kernel: &KernelRates,
+        rays_per_point: u32,
+        sums: &mut [SphereSums],
+    ) -> Result<(), TraceError> {
+        let scene = &*self.scene;
+        let points_per_task = (RAYS_PER_TASK / rays_per_point.max(1) as usize).max(1);
+        let chunks = points.par_chunks(points_per_task).zip(sums.par_chunks_mut(points_per_task));
+        chunks.with_max_len(1).for_each(|(points, sums)| {
+            WORKSPACE.with_borrow_mut(|workspace| {
+                self.path.run(GatherSphere { scene, kernel, rays_per_point, points, sums, workspace });
             });
         });
         Ok(())

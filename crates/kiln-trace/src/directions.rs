@@ -16,19 +16,37 @@ fn sin_cos_quarter(x: f32) -> (f32, f32) {
     (sine, cosine)
 }
 
-/// A direction about +z with density cos θ / π, from a point of the unit square: area-preserving and continuous.
-/// Without branches, so that eight points become the lanes of a vector.
+/// A point of the unit disk from one of the unit square, and its distance from the centre, which has a sign.
+/// Area-preserving and continuous. Without branches, so that eight points become the lanes of a vector.
 #[inline(always)]
-fn cosine_about_z([u, v]: [f32; 2]) -> Vec3 {
+fn concentric_disk([u, v]: [f32; 2]) -> ([f32; 2], f32) {
     let (a, b) = (2.0 * u - 1.0, 2.0 * v - 1.0);
     let is_wide = a.abs() > b.abs();
     let r = if is_wide { a } else { b };
     let ratio = if is_wide { b } else { a } / r;
     // Only the center of the square has 0 / 0.
     let (sine, cosine) = sin_cos_quarter(if r == 0.0 { 0.0 } else { std::f32::consts::FRAC_PI_4 * ratio });
-    let (x, y) = if is_wide { (r * cosine, r * sine) } else { (r * sine, r * cosine) };
+    (if is_wide { [r * cosine, r * sine] } else { [r * sine, r * cosine] }, r)
+}
+
+/// A direction about +z with density cos θ / π, from a point of the unit square: area-preserving and continuous.
+#[inline(always)]
+fn cosine_about_z(point: [f32; 2]) -> Vec3 {
+    let ([x, y], r) = concentric_disk(point);
     let height = 1.0 - r * r;
     Vec3::new(x, y, if height > 0.0 { height } else { 0.0 }.sqrt())
+}
+
+/// A unit direction with the same density everywhere, from a point of the unit square: its left half is the half of the sphere
+/// above y = 0, each half a square of its own as Shirley and Chiu have it. Planes across the axes, of which levels
+/// consist, so lie on the edges of strata.
+#[inline(always)]
+pub fn sphere_direction([u, v]: [f32; 2]) -> Vec3 {
+    let is_above = u < 0.5;
+    let ([z, x], r) = concentric_disk([if is_above { 2.0 * u } else { 2.0 * u - 1.0 }, v]);
+    let height = 1.0 - r * r;
+    let stretch = (1.0 + height).sqrt();
+    Vec3::new(x * stretch, if is_above { height } else { -height }, z * stretch)
 }
 
 /// Two unit vectors that make an orthonormal basis with the unit vector `n` (Duff et al. 2017).
@@ -74,6 +92,37 @@ mod tests {
             assert!((f64::from(sine) - f64::from(x).sin()).abs() < 4e-7, "{x}");
             assert!((f64::from(cosine) - f64::from(x).cos()).abs() < 2e-7, "{x}");
         }
+    }
+
+    #[test]
+    fn moments_of_the_uniform_distribution() {
+        // Midpoints of a grid, so that what is left is the error of the map: means of xᵢ, xᵢ xⱼ, xᵢ⁴.
+        let n = 512u32;
+        let (mut first, mut second, mut fourth) = (glam::DVec3::ZERO, glam::DMat3::ZERO, glam::DVec3::ZERO);
+        for (i, j) in (0..n).flat_map(|i| (0..n).map(move |j| (i, j))) {
+            let d = sphere_direction([i, j].map(|k| (k as f32 + 0.5) / n as f32)).as_dvec3();
+            assert!((d.length() - 1.0).abs() < 1e-6);
+            first += d;
+            second += glam::DMat3::from_cols(d * d.x, d * d.y, d * d.z);
+            fourth += d * d * d * d;
+        }
+        let count = f64::from(n * n);
+        assert!((first / count).length() < 1e-5, "{first}");
+        let off = second * (1.0 / count) - glam::DMat3::IDENTITY * (1.0 / 3.0);
+        assert!(off.to_cols_array().iter().all(|x| x.abs() < 1e-4), "{off}");
+        assert!((fourth / count - 0.2).abs().max_element() < 1e-4, "{fourth}");
+    }
+
+    #[test]
+    fn planes_across_the_axes_part_the_square_at_edges_of_strata() {
+        let at = |u: f32, v: f32| sphere_direction([u, v]);
+        for (i, j) in (0..64).flat_map(|i| (0..64).map(move |j| (i, j))) {
+            let (u, v) = ((i as f32 + 0.5) / 64.0, (j as f32 + 0.5) / 64.0);
+            assert_eq!(at(u, v).y > 0.0, u < 0.5);
+            assert_eq!(at(u, v).x > 0.0, v > 0.5);
+            assert_eq!(at(u, v).z > 0.0, (2.0 * u).fract() > 0.5);
+        }
+        assert_eq!((at(0.25, 0.5), at(0.75, 0.5)), (Vec3::Y, Vec3::NEG_Y));
     }
 
     #[test]

@@ -60,12 +60,35 @@ fn fixed_obscurance(x: f32) -> u32 {
     if x >= 24.0 {
         return ONE;
     }
+    ((1.0 - small_exp2_minus(x)) * 65536.0 + 0.5) as u32
+}
+
+/// `2^−x` for 0 ≤ x ≤ 126; relative error below 3e-7.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the exponent is in [1, 127]")]
+#[inline(always)]
+fn small_exp2_minus(x: f32) -> f32 {
     let whole = (x + 0.5).floor();
     // 2^−x = 2^−whole · 2^f, |f| ≤ 1/2: Taylor in f ln 2 to degree 6.
     let y = (whole - x) * std::f32::consts::LN_2;
     let p = 1.0 + y * (1.0 + y * (0.5 + y * (1.0 / 6.0 + y * (1.0 / 24.0 + y * (1.0 / 120.0 + y * (1.0 / 720.0))))));
     let scale = f32::from_bits((127 - whole as u32) << 23);
-    ((1.0 - p * scale) * 65536.0 + 0.5) as u32
+    p * scale
+}
+
+/// `2^−x` for x ≥ 0; relative error below 3e-7, and 0 where it is below 2⁻⁶⁴.
+#[inline(always)]
+pub(crate) fn exp2_minus(x: f32) -> f32 {
+    if x < 64.0 { small_exp2_minus(x) } else { 0.0 }
+}
+
+/// `1 − 2^−x` for x ≥ 0; relative error below 1e-6, also where x is small.
+#[inline(always)]
+pub(crate) fn one_minus_exp2_minus(x: f32) -> f32 {
+    if x >= 0.25 {
+        return 1.0 - exp2_minus(x);
+    }
+    let y = x * std::f32::consts::LN_2;
+    y * (1.0 - y * (0.5 - y * (1.0 / 6.0 - y * (1.0 / 24.0 - y * (1.0 / 120.0)))))
 }
 
 #[cfg(test)]
@@ -81,6 +104,19 @@ mod tests {
         }
         assert_eq!(fixed_obscurance(0.0), 0);
         assert_eq!(fixed_obscurance(f32::INFINITY), ONE);
+    }
+
+    #[test]
+    fn powers_match_the_definition() {
+        for i in 0..=640_000 {
+            let x = i as f32 * 1e-4;
+            let expected = (-f64::from(x)).exp2();
+            let error =
+                |found: f32, expected: f64| (f64::from(found) - expected).abs() / expected.max(f64::MIN_POSITIVE);
+            assert!(x >= 64.0 || error(exp2_minus(x), expected) < 4e-7, "{x}");
+            assert!(error(one_minus_exp2_minus(x), -(-f64::from(x) * std::f64::consts::LN_2).exp_m1()) < 1e-6, "{x}");
+        }
+        assert_eq!([exp2_minus(0.0), exp2_minus(f32::INFINITY), one_minus_exp2_minus(f32::INFINITY)], [1.0, 0.0, 1.0]);
     }
 
     #[test]

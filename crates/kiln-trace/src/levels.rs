@@ -4,6 +4,7 @@ use crate::{
     Hit, Scene,
     alone::{self, Leaves, MeshLeaves, Stack, precedes},
     bundle::{self, BundleLeaves, Hits, Memory},
+    foliage::{CrossBundle, FoliageMemory},
     node::{MAX_LEAF, WideNode},
     path::{Compiled, Kernel},
     ray::TracedRay,
@@ -20,6 +21,8 @@ pub(crate) struct Workspace {
     object: Rays,
     scene_memory: Memory,
     mesh: MeshMemory,
+    /// What the rays lose in foliage, among others.
+    pub(crate) foliage: FoliageMemory,
 }
 
 /// What the way of a bundle through a mesh needs.
@@ -37,6 +40,7 @@ impl Workspace {
             object: Rays::NEW,
             scene_memory: Memory::NEW,
             mesh: MeshMemory { memory: Memory::NEW, stack: Stack::NEW, seen: [SeenTriangle::default(); MAX_LEAF] },
+            foliage: FoliageMemory::NEW,
         })
     }
 }
@@ -52,7 +56,7 @@ impl<const ANY: bool, const SHARED: bool> Kernel for TraceBundle<'_, ANY, SHARED
     #[inline(always)]
     fn run<V: Compiled>(self) {
         let Self { scene, count, workspace } = self;
-        let Workspace { rays, hits, object, scene_memory, mesh } = workspace;
+        let Workspace { rays, hits, object, scene_memory, mesh, .. } = workspace;
         rays.finish();
         hits.end(count);
         let mask = u64::MAX >> (BUNDLE - count.clamp(1, BUNDLE));
@@ -60,6 +64,25 @@ impl<const ANY: bool, const SHARED: bool> Kernel for TraceBundle<'_, ANY, SHARED
         let walk: bundle::Walk<'_, _, ANY, SHARED> =
             bundle::Walk { nodes: &scene.nodes, leaves, rays, mask, hits, memory: scene_memory };
         walk.run::<V>();
+    }
+}
+
+/// Finds what the first `count` rays of the workspace, whose closest hits are known, lose on their way.
+pub(crate) struct GoThrough<'a, const SHARED: bool> {
+    pub(crate) scene: &'a Scene,
+    pub(crate) count: usize,
+    pub(crate) workspace: &'a mut Workspace,
+}
+
+impl<const SHARED: bool> Kernel for GoThrough<'_, SHARED> {
+    #[inline(always)]
+    fn run<V: Compiled>(self) {
+        let Self { scene, count, workspace } = self;
+        let Workspace { rays, hits, foliage: memory, .. } = workspace;
+        match &scene.foliage {
+            Some(foliage) => CrossBundle::<SHARED> { foliage, count, rays, hits, memory }.run::<V>(),
+            None => memory.lost.start_without(),
+        }
     }
 }
 
@@ -101,16 +124,16 @@ impl BundleLeaves for SceneBundle<'_> {
 
     #[inline(always)]
     fn walk_alone<V: Compiled, const ANY: bool>(&mut self, start: u32, ray: usize, rays: &Rays, hits: &mut Hits) {
-        let leaves = &SceneAlone { scene: self.scene };
+        let leaves = &mut SceneAlone { scene: self.scene };
         go_alone::<V, _, ANY>(&self.scene.nodes, leaves, start, ray, rays, hits, &mut self.memory.stack);
     }
 }
 
 /// Takes one ray of a bundle on alone.
 #[inline(always)]
-fn go_alone<V: Compiled, L: Leaves, const ANY: bool>(
+pub(crate) fn go_alone<V: Compiled, L: Leaves, const ANY: bool>(
     nodes: &[WideNode],
-    leaves: &L,
+    leaves: &mut L,
     start: u32,
     ray: usize,
     rays: &Rays,
@@ -193,7 +216,7 @@ impl BundleLeaves for MeshBundle<'_> {
 
     #[inline(always)]
     fn walk_alone<V: Compiled, const ANY: bool>(&mut self, start: u32, ray: usize, rays: &Rays, hits: &mut Hits) {
-        go_alone::<V, _, ANY>(self.nodes, &self.mesh, start, ray, rays, hits, self.stack);
+        go_alone::<V, _, ANY>(self.nodes, &mut self.mesh, start, ray, rays, hits, self.stack);
     }
 }
 
@@ -205,7 +228,7 @@ struct SceneAlone<'a> {
 impl Leaves for SceneAlone<'_> {
     #[inline(always)]
     fn visit<V: Compiled, const ANY: bool>(
-        &self,
+        &mut self,
         first: u32,
         _: u32,
         ray: &TracedRay,
@@ -215,7 +238,7 @@ impl Leaves for SceneAlone<'_> {
     ) {
         let instance = &self.scene.instances[first as usize];
         let mesh = &self.scene.meshes[instance.mesh as usize];
-        let in_mesh = MeshLeaves { triangles: mesh.triangles.words(), instance: first };
+        let leaves = &mut MeshLeaves { triangles: mesh.triangles.words(), instance: first };
         let ray = if instance.is_identity {
             *ray
         } else {
@@ -223,6 +246,6 @@ impl Leaves for SceneAlone<'_> {
             TracedRay::new(instance.point(origin), instance.direction(direction))
         };
         let nodes = &*mesh.nodes;
-        V::compiled(alone::Walk::<_, ANY> { nodes, leaves: &in_mesh, start: 0, ray: &ray, best, stack, bottom: top });
+        V::compiled(alone::Walk::<_, ANY> { nodes, leaves, start: 0, ray: &ray, best, stack, bottom: top });
     }
 }

@@ -8,8 +8,8 @@ use crate::{
     pages::Pages,
     triangle::{FLIPPED_BIT, TWO_SIDED_BIT, TriangleRuns, face_of},
 };
-use glam::{DVec3, Vec3};
-use kiln_core::{Bounds, Mesh};
+use glam::Vec3;
+use kiln_core::{Bounds, FaceGroup, Mesh};
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
@@ -30,7 +30,12 @@ pub struct MeshBvh {
 impl MeshBvh {
     /// Builds over the faces whose group occludes.
     pub fn build(mesh: &Mesh) -> Self {
-        let ids = occluders(mesh);
+        Self::build_over(mesh, |group| group.occludes)
+    }
+
+    /// Builds over the faces of some groups.
+    pub(crate) fn build_over(mesh: &Mesh, is_in: impl Fn(&FaceGroup) -> bool + Sync) -> Self {
+        let ids = occluders(mesh, is_in);
         let boxes: Vec<Boxed> = (0..ids.len() as u32)
             .into_par_iter()
             .map(|index| {
@@ -75,11 +80,6 @@ impl MeshBvh {
     pub fn memory_bytes(&self) -> usize {
         size_of_val(&*self.nodes) + self.triangles.memory_bytes()
     }
-
-    /// Greatest absolute coordinate of each axis.
-    pub(crate) fn extent(&self) -> DVec3 {
-        if self.bounds.is_empty() { DVec3::ZERO } else { self.bounds.min.abs().max(self.bounds.max.abs()) }
-    }
 }
 
 /// A face that stops rays.
@@ -90,10 +90,11 @@ pub(crate) struct Occluder {
     pub(crate) primitive: u32,
 }
 
-/// The faces that stop rays, in rising order, of those that coincide the first. With [`TWO_SIDED_BIT`].
-pub(crate) fn occluders(mesh: &Mesh) -> Vec<u32> {
-    let all = (0..mesh.faces.len() as u32).into_par_iter().filter(|face| mesh.group(*face as usize).occludes);
-    let is_suspect = suspects(mesh);
+/// The faces of the groups that stop rays, in rising order, of those that coincide the first. With [`TWO_SIDED_BIT`].
+pub(crate) fn occluders(mesh: &Mesh, is_in: impl Fn(&FaceGroup) -> bool + Sync) -> Vec<u32> {
+    let stops = |face: u32| is_in(mesh.group(face as usize));
+    let all = (0..mesh.faces.len() as u32).into_par_iter().filter(|face| stops(*face));
+    let is_suspect = suspects(mesh, &stops);
     let joined = coincident(mesh, all.clone().filter(|face| is_suspect(*face)).collect());
     let with_bit = |face: u32, is_set: bool| face | if is_set { TWO_SIDED_BIT } else { 0 };
     let mut ids: Vec<u32> = all.map(|face| with_bit(face, mesh.group(face as usize).double_sided)).collect();
@@ -112,7 +113,7 @@ pub(crate) fn occluders(mesh: &Mesh) -> Vec<u32> {
 }
 
 /// Tells the faces that may coincide with another: their corners have the same hash, which few others have.
-fn suspects(mesh: &Mesh) -> impl Fn(u32) -> bool + Sync {
+fn suspects(mesh: &Mesh, stops: impl Fn(u32) -> bool + Sync) -> impl Fn(u32) -> bool + Sync {
     let faces = mesh.faces.len();
     // With 16 to 32 values for each face, about one in 16 at most is suspected for nothing.
     let mask = (16 * faces).next_power_of_two().clamp(1 << 6, 1 << 32) - 1;
@@ -121,7 +122,7 @@ fn suspects(mesh: &Mesh) -> impl Fn(u32) -> bool + Sync {
     let note = |face: usize| {
         let hash = hash(mesh.corners(face)) as usize & mask;
         let bit = 1 << (hash % 64);
-        if mesh.group(face).occludes && once[hash / 64].fetch_or(bit, Relaxed) & bit != 0 {
+        if stops(face as u32) && once[hash / 64].fetch_or(bit, Relaxed) & bit != 0 {
             again[hash / 64].fetch_or(bit, Relaxed);
         }
         hash as u32

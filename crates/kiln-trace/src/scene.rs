@@ -1,12 +1,13 @@
 //! Instances in two levels: what tracers trace.
 
 use crate::{
-    BvhChild, MeshBvh,
+    BvhChild, Foliage, MeshBvh,
     boxed::Boxed,
     build::build,
     node::{BvhLink, WideNode},
 };
 use glam::{DAffine3, DVec3, Mat3, Vec3};
+use kiln_core::Bounds;
 use std::sync::Arc;
 
 /// Bound on the relative rounding error of a ray's way into object space and of its intersection there, in units of
@@ -61,6 +62,8 @@ pub struct Scene {
     pub instances: Vec<SceneInstance>,
     /// Tree over the instances; a leaf's index is an instance's.
     pub(crate) nodes: Vec<WideNode>,
+    /// What rays go through, if there is anything.
+    pub(crate) foliage: Option<Foliage>,
 }
 
 impl Scene {
@@ -68,7 +71,7 @@ impl Scene {
     pub fn build(meshes: Vec<Arc<MeshBvh>>, objects: &[SceneObject]) -> Self {
         let instances: Vec<SceneInstance> = objects.iter().map(instance).collect();
         let boxed = |(index, object): (usize, &SceneObject)| {
-            let (min, max) = world_box(&meshes[object.mesh], &object.world_from_object)?;
+            let (min, max) = world_box(&meshes[object.mesh].bounds, &object.world_from_object)?;
             Some(Boxed::new(index as u32, min, max))
         };
         let boxes = objects.iter().enumerate().filter_map(boxed).collect();
@@ -81,10 +84,21 @@ impl Scene {
                 *reference = BvhLink::Leaf { first, count }.to_reference();
             }
         }
-        Self { meshes, instances, nodes }
+        Self { meshes, instances, nodes, foliage: None }
     }
 
-    /// Whether nothing in it stops a ray.
+    /// Adds what rays go through, which [`crate::Tracer::gather_cosine`] takes into account; [`crate::Tracer::trace`] and
+    /// [`crate::Tracer::any_hit`] see only what stops them.
+    pub fn with_foliage(self, foliage: Foliage) -> Self {
+        Self { foliage: Some(foliage).filter(|foliage| !foliage.is_empty()), ..self }
+    }
+
+    /// What rays go through, if there is anything.
+    pub fn foliage(&self) -> Option<&Foliage> {
+        self.foliage.as_ref()
+    }
+
+    /// Whether nothing in it stops a ray; rays may go through something.
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
     }
@@ -98,7 +112,8 @@ impl Scene {
     /// Memory of all nodes, triangles and instances, bytes.
     pub fn memory_bytes(&self) -> usize {
         let meshes: usize = self.meshes.iter().map(|mesh| mesh.memory_bytes()).sum();
-        meshes + size_of_val(self.nodes.as_slice()) + size_of_val(self.instances.as_slice())
+        let foliage = self.foliage.as_ref().map_or(0, Foliage::memory_bytes);
+        meshes + size_of_val(self.nodes.as_slice()) + size_of_val(self.instances.as_slice()) + foliage
     }
 }
 
@@ -135,7 +150,7 @@ fn abs(m: glam::DMat3) -> glam::DMat3 {
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "rays are f32; PositionError bounds what is lost")]
-fn instance(object: &SceneObject) -> SceneInstance {
+pub(crate) fn instance(object: &SceneObject) -> SceneInstance {
     let inverse = object.world_from_object.inverse();
     let (m, t) = (inverse.matrix3, inverse.translation);
     let row = |i: usize| [m.x_axis[i] as f32, m.y_axis[i] as f32, m.z_axis[i] as f32, t[i] as f32];
@@ -146,18 +161,18 @@ fn instance(object: &SceneObject) -> SceneInstance {
 
 /// Least and greatest corner of the world-space box, grown by the rounding error of rays on their way into object space. `None` for an instance that
 /// no ray can hit.
-fn world_box(mesh: &MeshBvh, transform: &DAffine3) -> Option<(Vec3, Vec3)> {
+pub(crate) fn world_box(bounds: &Bounds, transform: &DAffine3) -> Option<(Vec3, Vec3)> {
     let inverse = transform.inverse();
     let fits = |v: DVec3| v.is_finite() && v.abs().max_element() < f64::from(f32::MAX);
     let m = inverse.matrix3;
     let is_usable = transform.is_finite() && [m.x_axis, m.y_axis, m.z_axis, inverse.translation].into_iter().all(fits);
-    if mesh.bounds.is_empty() || !is_usable {
+    if bounds.is_empty() || !is_usable {
         return None;
     }
-    let (center, half) = (mesh.bounds.center(), 0.5 * (mesh.bounds.max - mesh.bounds.min));
+    let (center, half) = (bounds.center(), 0.5 * (bounds.max - bounds.min));
     let center = transform.transform_point3(center);
     let half = abs(transform.matrix3) * half;
-    let extent = mesh.extent();
+    let extent = bounds.min.abs().max(bounds.max.abs());
     let slack = PositionError::new(transform).bound(center.abs() + half, extent.max_element());
     let (min, max) = (center - half - slack, center + half + slack);
     (fits(min) && fits(max)).then(|| (min.as_vec3(), max.as_vec3()))

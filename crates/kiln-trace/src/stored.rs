@@ -223,7 +223,7 @@ impl Reader<'_> {
         // Some coincide, which few meshes have: they are looked for again.
         let mut ids: Vec<u32> = self.ids.iter().map(|id| id & !FLIPPED_BIT).collect();
         ids.sort_unstable_by_key(|id| face_of(*id));
-        let is_same = occluders(self.mesh) == ids;
+        let is_same = occluders(self.mesh, |group| group.occludes) == ids;
         if is_same { Ok(()) } else { Err(wrong("it is the tree of other faces")) }
     }
 }
@@ -259,6 +259,7 @@ mod tests {
             class: Class::Opaque,
             double_sided,
             occludes,
+            foliage: None,
             receives: true,
             max_samples_per_face: None,
         };

@@ -1,9 +1,9 @@
 //! From streams of rays and samples to bundles, and from hits to sums.
 
 use crate::{
-    CosineSums, Hit, KernelRates, ONE, Ray, Scene, SurfaceSample,
+    CosineSums, Hit, KernelRates, Ray, Scene, SurfaceSample,
     directions::cosine_directions,
-    levels::{TraceBundle, Workspace},
+    levels::{GoThrough, TraceBundle, Workspace},
     orthonormal_basis,
     path::{Compiled, Kernel},
     rays::BUNDLE,
@@ -121,15 +121,18 @@ impl Gather<'_> {
         let (scene, workspace) = (self.scene, &mut *self.workspace);
         if bundle.owners[0] == bundle.owners[count - 1] {
             V::compiled(TraceBundle::<false, true> { scene, count, workspace });
+            V::compiled(GoThrough::<true> { scene, count, workspace });
         } else {
             V::compiled(TraceBundle::<false, false> { scene, count, workspace });
+            V::compiled(GoThrough::<false> { scene, count, workspace });
         }
         for (index, &owner) in bundle.owners[..count].iter().enumerate() {
             let (hit, sum) = (self.workspace.hits.get(index), &mut self.sums[owner as usize]);
             sum.rays += 1;
             let is_hit = hit.instance != u32::MAX;
-            for channel in 0..self.kernel.channels {
-                sum.values[channel] += if is_hit { self.kernel.hit_value(channel, hit.t) } else { ONE };
+            let values = self.workspace.foliage.lost.values(index, self.kernel, is_hit.then_some(hit.t));
+            for (sum, value) in sum.values.iter_mut().zip(values) {
+                *sum += value;
             }
             sum.back_faces += u32::from(is_hit && hit.back_face);
         }

@@ -1,6 +1,6 @@
 //! The contract that every backend keeps.
 
-use crate::{KernelRates, SobolScramble};
+use crate::{KernelRates, SobolScramble, SpherePoint, SphereSums};
 use glam::Vec3;
 
 /// A point whose hemisphere is gathered. It is used as it is: the origin has been moved off its surface.
@@ -98,6 +98,29 @@ pub enum TraceError {
         /// Bytes that the device's limits permit.
         available: u64,
     },
+    /// The scene has more of something than the device's ray queries can tell apart.
+    #[error("the scene has {needed} {what}, the device {adapter} permits {available}; leave --ray-queries away")]
+    TooMany {
+        /// The adapter's name.
+        adapter: String,
+        /// Of what.
+        what: &'static str,
+        /// How many there are.
+        needed: u64,
+        /// How many the device permits.
+        available: u64,
+    },
+    /// A ray starts so far from the scene that ray queries are not known to be right for it.
+    #[error(
+        "a ray starts {distance_m} m from the level's origin; ray queries hold up to {reach_m} m on this scene; \
+         leave --ray-queries away"
+    )]
+    OutOfReach {
+        /// Greatest coordinate of the ray's origin, metres.
+        distance_m: f32,
+        /// Greatest coordinate that is permitted, metres.
+        reach_m: f32,
+    },
 }
 
 /// A backend over one scene. Calls may come from several threads at once.
@@ -112,6 +135,20 @@ pub trait Tracer: Send + Sync {
         kernel: &KernelRates,
         rays_per_sample: u32,
         sums: &mut [CosineSums],
+    ) -> Result<(), TraceError>;
+
+    /// Traces the `rays_per_point` directions of each point, uniform over the sphere, and sums the projections of their
+    /// values on the quadratic spherical harmonics.
+    ///
+    /// `sums` has one entry for each point; `rays_per_point` is a power of two up to [`crate::MAX_RAYS_PER_SAMPLE`]. What
+    /// comes back is what [`crate::gather_sphere_by_rays`] makes of the closest hits of the same backend, which is also
+    /// how a backend without a kernel of its own does it.
+    fn gather_sphere(
+        &self,
+        points: &[SpherePoint],
+        kernel: &KernelRates,
+        rays_per_point: u32,
+        sums: &mut [SphereSums],
     ) -> Result<(), TraceError>;
 
     /// Closest hit of each ray, for probes and benchmarks. `hits` has one entry for each ray.

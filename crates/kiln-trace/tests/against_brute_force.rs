@@ -14,6 +14,7 @@ fn mesh(triangles: &[[Vec3; 3]]) -> Mesh {
         class: Class::Opaque,
         double_sided: false,
         occludes: true,
+        foliage: None,
         receives: true,
         max_samples_per_face: None,
     };

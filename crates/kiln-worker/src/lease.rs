@@ -6,7 +6,7 @@ use crate::{
     threads::{TaskSize, TaskThreads},
 };
 use bytes::Bytes;
-use kiln_core::{Digest, TaskKey, TaskSpec};
+use kiln_core::{Digest, TaskKey, TaskSpec, Work, WorkSpec};
 use kiln_proto::{limits, v1};
 use std::{
     panic::{AssertUnwindSafe, catch_unwind},
@@ -139,9 +139,12 @@ const PIECES_OF_SMALL_SOLVE: usize = 4;
 
 fn size(spec: &TaskSpec) -> TaskSize {
     match spec {
-        TaskSpec::Trace { .. } => TaskSize::Small,
-        TaskSpec::Solve { moments, .. } if moments.len() <= PIECES_OF_SMALL_SOLVE => TaskSize::Small,
-        TaskSpec::Solve { .. } | TaskSpec::Import { .. } | TaskSpec::Plan(_) | TaskSpec::Export(_) => TaskSize::Large,
+        TaskSpec::Work(WorkSpec { work: Work::Trace(_) | Work::Volume(_) | Work::Read(_), .. }) => TaskSize::Small,
+        TaskSpec::Work(WorkSpec { work: Work::Solve(_), inputs, .. }) if inputs.len() <= PIECES_OF_SMALL_SOLVE => {
+            TaskSize::Small
+        }
+        TaskSpec::Work(WorkSpec { work: Work::Solve(_) | Work::Fit(_), .. }) => TaskSize::Large,
+        TaskSpec::Import { .. } | TaskSpec::Plan(_) | TaskSpec::Export(_) => TaskSize::Large,
     }
 }
 

@@ -11,6 +11,7 @@ pub(crate) use farm::{
 pub(crate) use tools::{BenchArgs, CheckArgs, CompareArgs, ExampleArgs, OverlayChoice, ProbeArgs, ViewArgs};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use kiln_gpu::DeviceOptions;
 use std::path::PathBuf;
 
 /// Bakes ambient obscurance for game levels.
@@ -44,12 +45,20 @@ pub(crate) struct Common {
     /// Where rays are traced: `auto` takes a graphics card if there is one, else the CPU
     #[arg(long, global = true, value_enum, default_value_t)]
     pub(crate) backend: BackendChoice,
+    /// Let the graphics card's own ray queries (experimental) find what rays meet; results stay the same
+    #[arg(long, global = true)]
+    pub(crate) ray_queries: bool,
     /// Folder for results that later runs reuse [default: a folder of this user]
     #[arg(long, global = true, value_name = "FOLDER", env = "KILN_DATA_DIR")]
     pub(crate) data_dir: Option<PathBuf>,
 }
 
 impl Common {
+    /// What a graphics card is opened with.
+    pub(crate) fn device_options(&self) -> DeviceOptions {
+        DeviceOptions { ray_queries: self.ray_queries, ..DeviceOptions::default() }
+    }
+
     /// Threads to work on.
     pub(crate) fn thread_count(&self) -> usize {
         let cores = || std::thread::available_parallelism().map_or(1, std::num::NonZero::get);

@@ -24,6 +24,7 @@ use anyhow::Context;
 use kiln_gpu::{AdapterChoice, GpuDevice};
 use kiln_proto::client::Farm;
 use kiln_worker::tasks::{Backend, Backends};
+use std::sync::Arc;
 
 /// Makes the process's thread pool as wide as asked.
 pub(crate) fn use_threads(common: &Common) -> Result<(), Failure> {
@@ -40,25 +41,44 @@ pub(crate) fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
 /// What bakes trace on.
 pub(crate) fn choose_backends(common: &Common) -> Result<Backends, Failure> {
     match common.backend {
-        BackendChoice::Mixed => {
-            Ok(Backends::mixed(GpuDevice::open(&AdapterChoice::from_env()).map_err(anyhow::Error::from)?))
-        }
-        one => choose_backend(one).map(Backends::from),
+        BackendChoice::Mixed => Ok(Backends::mixed(open_device(&AdapterChoice::from_env(), common)?)),
+        _ => choose_backend(common).map(Backends::from),
     }
 }
 
 /// A graphics card if there is one and it is wanted, else the CPU; the CPU too where both are.
-pub(crate) fn choose_backend(choice: BackendChoice) -> Result<Backend, Failure> {
-    let open = |choice: &AdapterChoice| GpuDevice::open(choice).map_err(anyhow::Error::from);
-    match choice {
-        BackendChoice::Cpu | BackendChoice::Mixed => Ok(Backend::Cpu),
-        BackendChoice::Auto => Ok(open(&AdapterChoice::Real)?.map_or(Backend::Cpu, Backend::Gpu)),
-        BackendChoice::Gpu => open(&AdapterChoice::from_env())?.map(Backend::Gpu).ok_or_else(|| {
-            let advice =
-                "install a Vulkan driver for it, set KILN_GPU=software for a software driver, or use --backend cpu";
-            Failure::new(crate::failure::FAILED, format!("no graphics card can be used; {advice}"))
-        }),
+pub(crate) fn choose_backend(common: &Common) -> Result<Backend, Failure> {
+    match common.backend {
+        BackendChoice::Cpu | BackendChoice::Mixed => on_processor(common),
+        BackendChoice::Auto => Ok(open_device(&AdapterChoice::Real, common)?.map_or(Backend::Cpu, Backend::Gpu)),
+        BackendChoice::Gpu => {
+            open_device(&AdapterChoice::from_env(), common)?.map(Backend::Gpu).ok_or_else(no_graphics_card)
+        }
     }
+}
+
+/// The CPU, which has no ray queries.
+pub(crate) fn on_processor(common: &Common) -> Result<Backend, Failure> {
+    if common.ray_queries {
+        let message =
+            "--ray-queries is for graphics cards, but rays would be traced on the CPU; use it with --backend gpu";
+        return Err(Failure::new(crate::failure::USAGE, message));
+    }
+    Ok(Backend::Cpu)
+}
+
+/// A graphics card if there is one. There must be, where ray queries are asked for.
+fn open_device(choice: &AdapterChoice, common: &Common) -> Result<Option<Arc<GpuDevice>>, Failure> {
+    let device = GpuDevice::open_with(choice, common.device_options()).map_err(anyhow::Error::from)?;
+    if device.is_none() && common.ray_queries {
+        return Err(no_graphics_card());
+    }
+    Ok(device)
+}
+
+fn no_graphics_card() -> Failure {
+    let advice = "install a Vulkan driver for it, set KILN_GPU=software for a software driver, or use --backend cpu";
+    Failure::new(crate::failure::FAILED, format!("no graphics card can be used; {advice}"))
 }
 
 /// Connects to the farm now, so that one that cannot be reached is known at once.

@@ -13,6 +13,7 @@ pub(crate) fn one_mesh(scene: &BakedScene, origin: DVec3, receives: impl Fn(&Bak
         class: Class::Opaque,
         double_sided,
         occludes: true,
+        foliage: None,
         receives,
         max_samples_per_face: None,
     };

@@ -110,7 +110,7 @@ impl Progress {
 
 /// Whether the unit of a stage is rays.
 fn counts_rays(stage: &v1::StageProgress) -> bool {
-    stage.kind() == v1::TaskKind::Trace && stage.rays_total > 0
+    stage.rays_total > 0
 }
 
 fn bar(stage: &v1::StageProgress) -> ProgressBar {

@@ -92,6 +92,7 @@ pub(crate) fn report(summary: &BakeSummary, run: &Run<'_>) -> Value {
         "peak_memory_bytes": peak_memory_bytes(),
         "error_estimate": errors(&summary.error),
         "too_coarse": coarse::of_level(summary),
+        "foliage": summary.foliage,
         "solve": solves(summary),
         "meshes": meshes(summary),
         "cache": {

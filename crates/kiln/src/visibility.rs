@@ -92,6 +92,7 @@ fn sampling(scene: &BakedScene, mesh: &Mesh) -> Sampling {
         max_samples_per_face: 256,
         back_face_limit: BakeSettings::default().back_face_limit,
         seed: 0,
+        foliage: kiln_core::FoliageMode::default(),
         ground_plane_y_m: None,
         no_skip: Default::default(),
     }

@@ -3,8 +3,8 @@
 use crate::{geometry::HALF_DISTANCES_M, level::Level};
 use bytes::Bytes;
 use kiln_core::{
-    BakeSettings, BakeSummary, Baked, Digest, ExportSpec, Lane, PlanSpec, Quality, SourceFile, SourceManifest,
-    TaskGraph, TaskSpec, codec,
+    BakeSettings, BakeSummary, Baked, Digest, ExportSpec, Lane, Output, PlanSpec, Quality, SourceFile, SourceManifest,
+    TaskGraph, TaskSpec, WorkSpec, codec,
 };
 use kiln_scene::{BakedScene, read_baked};
 use kiln_worker::{
@@ -57,9 +57,8 @@ pub(crate) fn try_bake(level: &Level, settings: &BakeSettings) -> Result<Outcome
     let source = memory.add(codec::encode(&manifest));
     let run = Run { memory, executor: BakeExecutor::new(Backend::Cpu.into()) };
     let (level, _) = run.task(&TaskSpec::Import { source })?;
-    let solutions = run.solutions(level)?;
-    let solutions = run.memory.add(codec::encode(&solutions));
-    let (_, baked) = run.task(&TaskSpec::Export(ExportSpec { source, level, solutions }))?;
+    let outputs = run.memory.add(codec::encode(&run.outputs(level)?));
+    let (_, baked) = run.task(&TaskSpec::Export(ExportSpec { source, level, outputs }))?;
     let baked: Baked = codec::decode("a baked level", &baked)?;
     let files = BTreeMap::from([("baked.glb".to_owned(), run.memory.get(baked.file)?.to_vec())]);
     let refused = |error: kiln_scene::SceneError| TaskError::Refused { reason: error.to_string() };
@@ -81,21 +80,20 @@ impl Run {
         Ok((self.memory.add(output.result.clone()), output.result))
     }
 
-    /// Plans, traces and solves: each receiving instance and its solution.
-    fn solutions(&self, level: Digest) -> Result<Vec<(u32, Digest)>, TaskError> {
+    /// Plans and does all tasks of the graph, in its order: its outputs.
+    fn outputs(&self, level: Digest) -> Result<Vec<(Output, Digest)>, TaskError> {
         let lanes = self.executor.lanes();
         let lane = Lane { trace: lanes.trace.concat(), solve: lanes.solve };
         let (_, graph) = self.task(&TaskSpec::Plan(PlanSpec { level, lane }))?;
         let graph: TaskGraph = codec::decode("a plan", &graph)?;
-        let mut solutions = Vec::new();
-        for solve in &graph.solve {
-            let pieces = &graph.trace[solve.first_trace as usize..][..solve.trace_count as usize];
-            let trace = |task: &kiln_core::TraceTask| self.task(&TaskSpec::Trace { level, task: task.clone() });
-            let moments = pieces.iter().map(|task| Ok(trace(task)?.0)).collect::<Result<_, TaskError>>()?;
-            let spec = TaskSpec::Solve { level, instance: solve.instance, moments };
-            solutions.push((solve.instance, self.task(&spec)?.0));
+        let (mut results, mut outputs) = (Vec::<Digest>::new(), Vec::new());
+        for (index, task) in (0..).zip(&graph.tasks) {
+            let inputs = graph.inputs_of(index).iter().map(|input| results[*input as usize]).collect();
+            let (result, _) = self.task(&TaskSpec::Work(WorkSpec { level, work: task.work.clone(), inputs }))?;
+            outputs.extend(task.output.map(|output| (output, result)));
+            results.push(result);
         }
-        Ok(solutions)
+        Ok(outputs)
     }
 }
 

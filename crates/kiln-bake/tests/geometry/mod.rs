@@ -6,8 +6,14 @@ use std::collections::BTreeSet;
 
 /// Triangles, each with corners of its own that have these normals; a normal of zero is the face's.
 pub(crate) fn mesh(triangles: &[[Vec3; 3]], double_sided: bool, normal: impl Fn(Vec3) -> Vec3) -> Mesh {
-    let group =
-        FaceGroup { class: Class::Opaque, double_sided, occludes: true, receives: true, max_samples_per_face: None };
+    let group = FaceGroup {
+        class: Class::Opaque,
+        double_sided,
+        occludes: true,
+        foliage: None,
+        receives: true,
+        max_samples_per_face: None,
+    };
     let corners = || triangles.iter().flatten();
     Mesh {
         positions: corners().map(Vec3::to_array).collect(),
@@ -47,6 +53,7 @@ pub(crate) fn fixed(rays_per_sample: u32, half_distances_m: &[f64]) -> Sampling 
         max_samples_per_face: 64,
         back_face_limit: 0.25,
         seed: 7,
+        foliage: kiln_core::FoliageMode::default(),
         ground_plane_y_m: None,
         no_skip: BTreeSet::new(),
     }

@@ -5,7 +5,8 @@
 
 use super::random::Stream;
 use kiln_trace::{
-    CosineSums, Hit, KernelRates, ONE, Ray, SurfaceSample, TraceError, Tracer, cosine_direction, orthonormal_basis,
+    CosineSums, Hit, KernelRates, ONE, Ray, SpherePoint, SphereSums, SurfaceSample, TraceError, Tracer,
+    cosine_direction, orthonormal_basis,
 };
 use rayon::prelude::*;
 
@@ -73,6 +74,16 @@ impl Tracer for RandomRays<'_> {
     ) -> Result<(), TraceError> {
         let batches = samples.par_chunks(SAMPLES_PER_BATCH).zip(sums.par_chunks_mut(SAMPLES_PER_BATCH));
         batches.map(|(samples, sums)| self.batch(samples, kernel, rays_per_sample, sums)).collect()
+    }
+
+    fn gather_sphere(
+        &self,
+        points: &[SpherePoint],
+        kernel: &KernelRates,
+        rays_per_point: u32,
+        sums: &mut [SphereSums],
+    ) -> Result<(), TraceError> {
+        self.inner.gather_sphere(points, kernel, rays_per_point, sums)
     }
 
     fn trace(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<(), TraceError> {

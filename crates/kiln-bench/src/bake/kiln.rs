@@ -59,14 +59,16 @@ pub(super) struct Kiln {
     program: PathBuf,
     folder: PathBuf,
     backend: &'static str,
+    ray_queries: bool,
 }
 
 impl Kiln {
     /// The program that runs.
     pub(super) fn this(folder: &Path, backend: &Backend) -> Result<Self, BenchError> {
         let program = std::env::current_exe().map_err(|error| failed(&error.to_string()))?;
-        let backend = if matches!(backend, Backend::Cpu) { "cpu" } else { "gpu" };
-        Ok(Self { program, folder: folder.to_path_buf(), backend })
+        let ray_queries = matches!(backend, Backend::Gpu(device) if device.has_ray_queries());
+        let name = if matches!(backend, Backend::Cpu) { "cpu" } else { "gpu" };
+        Ok(Self { program, folder: folder.to_path_buf(), backend: name, ray_queries })
     }
 
     /// A path in the folder.
@@ -78,6 +80,10 @@ impl Kiln {
     pub(super) fn command(&self, name: &str) -> Command {
         let mut command = Command::new(&self.program);
         command.arg(name).args(["--backend", self.backend]);
+        // On a farm its workers decide.
+        if self.ray_queries && matches!(name, "bake" | "worker") {
+            command.arg("--ray-queries");
+        }
         for variable in ["KILN_TOKEN", "KILN_COORDINATOR", "KILN_DATA_DIR"] {
             command.env_remove(variable);
         }

@@ -16,6 +16,8 @@ pub(super) struct Report {
     pub(super) cpu_seconds: f64,
     pub(super) peak_memory_bytes: Option<u64>,
     pub(super) error_estimate: Errors,
+    #[serde(default)]
+    pub(super) foliage: Foliage,
     pub(super) solve: Vec<Solve>,
     pub(super) meshes: Vec<Instance>,
 }
@@ -62,6 +64,22 @@ pub(super) struct Errors {
     pub(super) rmse: Vec<f64>,
 }
 
+/// What became of foliage.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+pub(super) struct Foliage {
+    /// Points that were traced around trees.
+    pub(super) voxels: u64,
+    pub(super) models: Vec<Model>,
+    /// Shrubs and decorators.
+    pub(super) scalars: u64,
+}
+
+/// A model of trees.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub(super) struct Model {
+    pub(super) instances: u64,
+}
+
 /// One instance's linear system.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 pub(super) struct Solve {
@@ -95,6 +113,11 @@ impl Report {
 }
 
 impl Stage {
+    /// A part of the work.
+    pub(super) fn part(&self, name: &str) -> PartTime {
+        self.parts.get(name).copied().unwrap_or_default()
+    }
+
     /// Processor time of what is not told apart.
     pub(super) fn own_cpu_seconds(&self) -> f64 {
         let parts: f64 = self.parts.values().map(|part| part.cpu_seconds).sum();

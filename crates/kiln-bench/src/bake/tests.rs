@@ -102,7 +102,7 @@ fn tables_say_what_was_found() {
     });
     let text = table::level(&report);
     for expected in [
-        "| BVH build | 2.00 | 4.00 | 4.0 % | 10.5 |",
+        "| BVH build, trees and shrubs too | 2.00 | 4.00 | 4.0 % | 10.5, < 1 |",
         "| Process geometry, 1.50 M V, 1.80 M F | 2.00 | 3.00 | 3.0 % | 2 |",
         "| Total | 50.00 | 99.00 | 100.0 % | 78 |",
         "Region for dynamic AO, 332,741 points: not done by Kiln yet |  |  |  | 9.2 |",

@@ -118,7 +118,14 @@ impl Paths {
 
 /// What faces without a material have in common.
 pub(super) fn group(double_sided: bool) -> FaceGroup {
-    FaceGroup { class: Class::Opaque, double_sided, occludes: true, receives: true, max_samples_per_face: None }
+    FaceGroup {
+        class: Class::Opaque,
+        double_sided,
+        occludes: true,
+        foliage: None,
+        receives: true,
+        max_samples_per_face: None,
+    }
 }
 
 fn read_rays(path: &Path) -> Result<RaySet, BenchError> {

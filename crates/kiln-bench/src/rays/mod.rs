@@ -1,6 +1,7 @@
 //! `kiln bench rays`: rays per second, time and memory of building, and agreement with another tracer ray by ray.
 
 mod agree;
+mod both_ways;
 mod build;
 pub(crate) mod case;
 mod contest;
@@ -15,6 +16,7 @@ mod table;
 mod tests;
 
 use crate::{BenchError, Provenance, scratch::Scratch};
+use both_ways::BothWays;
 use build::{Build, BuildPlace};
 use case::{Case, Input, RayCounts};
 use contest::{Plan, Standings};
@@ -35,6 +37,8 @@ use std::{
   kiln bench rays level.glb
   kiln bench rays level.glb --flatten --peer ./embree-peer --markdown-out rays.md
   kiln bench rays cave collision_world --peer ./embree-peer      reads cave.pos, cave.idx, cave.rays, and so on
+  KILN_GPU=software kiln bench rays --backend gpu --ray-queries level.glb
+                                          traces the same rays by the card's ray queries and without, and compares
   kiln bench rays --scaling level.glb --svg-out scaling.svg --json-out scaling.json")]
 pub struct Args {
     /// Levels, .glb or .gltf, whose rays are made here; or PREFIX for PREFIX.pos, PREFIX.idx and PREFIX.rays (formats:
@@ -106,6 +110,8 @@ struct SceneReport {
     standings: Standings,
     /// On a graphics device: the model's rates beside the measured.
     predicted: Vec<Predicted>,
+    /// On a graphics device that traces by ray queries: the software traversal beside them.
+    ray_queries: Option<BothWays>,
 }
 
 /// What is written as JSON.
@@ -187,7 +193,8 @@ impl Args {
         progress("build");
         let build = |threads| place.measure(input, self.flatten, threads, self.reps as usize);
         let builds = self.threads().into_iter().map(build).collect::<Result<_, _>>()?;
-        let traced = Traced::new(backend, &Arc::new(case.build()))?;
+        let scene = Arc::new(case.build());
+        let traced = Traced::new(backend, &scene)?;
         let scratch = Scratch::new("rays")?;
         let paths = self.paths(input, &case, scratch.path())?;
         if let Some(path) = &self.out {
@@ -195,6 +202,7 @@ impl Args {
         }
         let standings = self.plan(backend).hold(&case, traced.tracer(), &paths, scratch.path(), &mut progress)?;
         let predicted = predicted::compare(&traced, &case, &standings)?;
+        let ray_queries = both_ways::compare(&traced, &scene, &case, &self.plan(backend), &mut progress)?;
         Ok(SceneReport {
             points: case.rays.origins.len(),
             rays_per_point: case.rays.per_point,
@@ -203,6 +211,7 @@ impl Args {
             builds,
             standings,
             predicted,
+            ray_queries,
         })
     }
 

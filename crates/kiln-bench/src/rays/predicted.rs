@@ -13,7 +13,7 @@ use serde::Serialize;
 use std::sync::Arc;
 
 /// Rays that visits are counted of, at most.
-const COUNTED: usize = 1 << 16;
+pub(super) const COUNTED: usize = 1 << 16;
 
 /// A scene on a backend.
 pub(super) enum Traced {
@@ -74,6 +74,10 @@ impl Predicted {
 /// The modes that the model knows, on a graphics device; nothing on the CPU. Its roofs are typical of the kind of device.
 pub(super) fn compare(traced: &Traced, case: &Case, standings: &Standings) -> Result<Vec<Predicted>, BenchError> {
     let Traced::Gpu(device, tracer) = traced else { return Ok(Vec::new()) };
+    // The model is of the software traversal.
+    if tracer.has_ray_queries() {
+        return Ok(Vec::new());
+    }
     let course = Course::new(tracer, case, 1, false);
     let roofs = Roofs::of_kind(device.adapter().kind);
     let mut all = Vec::new();

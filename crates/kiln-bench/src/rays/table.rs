@@ -36,6 +36,9 @@ pub(super) fn scene(report: &SceneReport) -> String {
         out.push_str("\nAgainst the model of docs/gpu.md, with typical figures of this kind of device:\n\n");
         report.predicted.iter().for_each(|predicted| out.push_str(&(predicted.line() + "\n")));
     }
+    if let Some(both) = &report.ray_queries {
+        out.push_str(&both.text());
+    }
     let _ = agreements(&mut out, &report.standings.agreements);
     out
 }

@@ -152,6 +152,7 @@ fn a_program_is_run_in_turn_and_its_hits_compared() {
         builds: vec![Build::of(&case, 1)],
         standings,
         predicted: Vec::new(),
+        ray_queries: None,
     };
     let text = table::scene(&report);
     assert!(

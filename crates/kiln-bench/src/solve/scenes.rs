@@ -52,6 +52,7 @@ fn empty() -> Mesh {
         class: Class::Opaque,
         double_sided: false,
         occludes: true,
+        foliage: None,
         receives: true,
         max_samples_per_face: None,
     };

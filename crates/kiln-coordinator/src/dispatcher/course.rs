@@ -73,8 +73,8 @@ impl Dispatcher {
                 Step::LookUpAnswer(key) => self.keeper.send(Op::LookUpAnswer { job: id, key }),
                 Step::ReadGraph(digest) => self.keeper.send(Op::ReadGraph { job: id, digest }),
                 Step::ReadBaked(digest) => self.keeper.send(Op::ReadBaked { job: id, digest }),
-                Step::StoreSolutions(list) => {
-                    self.keeper.send(Op::StoreSolutions { job: id, bytes: codec::encode(&list) });
+                Step::StoreOutputs(list) => {
+                    self.keeper.send(Op::StoreOutputs { job: id, bytes: codec::encode(&list) });
                 }
             }
         }
@@ -85,7 +85,8 @@ impl Dispatcher {
         let mut keys: Vec<(Node, TaskKey)> = Vec::with_capacity(nodes.len());
         for node in nodes {
             let Some(task) = job.task(node) else { continue };
-            if matches!(node, Node::Import | Node::Plan | Node::Export) {
+            // Those of the graph were counted when it was read.
+            if !matches!(node, Node::Work { .. }) {
                 job.progress.planned(node.kind(), 0);
                 tell_state(job);
             }
@@ -174,10 +175,10 @@ impl Dispatcher {
         self.walk(id, steps);
     }
 
-    pub(super) fn solutions_stored(&mut self, id: JobId, outcome: Result<Digest, Arc<StoreError>>) {
+    pub(super) fn outputs_stored(&mut self, id: JobId, outcome: Result<Digest, Arc<StoreError>>) {
         match outcome {
             Ok(digest) => {
-                let steps = self.jobs.get_mut(&id).map(|job| job.solved(digest)).unwrap_or_default();
+                let steps = self.jobs.get_mut(&id).map(|job| job.listed(digest)).unwrap_or_default();
                 self.walk(id, steps);
             }
             Err(error) => self.broken(id, &error),

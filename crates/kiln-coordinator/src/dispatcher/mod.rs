@@ -258,7 +258,7 @@ impl Dispatcher {
             Stored::Lost { job, digest } => self.restart(job, digest),
             Stored::Graph { job, graph } => self.graph_read(job, graph),
             Stored::Baked { job, digest, baked } => self.baked_read(job, digest, baked),
-            Stored::Solutions { job, outcome } => self.solutions_stored(job, outcome),
+            Stored::Outputs { job, outcome } => self.outputs_stored(job, outcome),
             Stored::Delivered { delivery, outcome } => self.delivered(&delivery, outcome),
             Stored::Broken { job, error } => self.broken(job, &error),
         }

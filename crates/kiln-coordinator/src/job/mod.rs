@@ -2,16 +2,21 @@
 //! neither waits nor reads nor writes.
 
 pub(crate) mod answer;
+mod baking;
 mod phase;
 mod progress;
 mod view;
 
 pub(crate) use answer::{Answer, answer_key, failure_key};
-pub(crate) use phase::{Baking, Ended, Ending, Exporting, GraphError, Outcome, Phase, Planning, Success, Waiting};
+pub(crate) use baking::{Baking, Progressed};
+pub(crate) use phase::{Ended, Ending, Exporting, Outcome, Phase, Planning, Success, Waiting};
 pub(crate) use progress::{Effort, Parts, Progress};
 
 use crate::{check::Expect, events::EventLog};
-use kiln_core::{Digest, ExportSpec, JobId, Lane, PlanSpec, TaskGraph, TaskKey, TaskKind, TaskSpec, Warning};
+use kiln_core::{
+    Digest, ExportSpec, GraphError, JobId, Lane, Output, PlanSpec, PlannedTask, TaskGraph, TaskKey, TaskKind, TaskSpec,
+    Warning, WorkSpec,
+};
 use kiln_proto::v1;
 use kiln_schedule::Requirements;
 use std::sync::Arc;
@@ -27,10 +32,12 @@ const RESTARTS: u32 = 3;
 pub(crate) enum Node {
     Import,
     Plan,
-    /// Index into [`TaskGraph::trace`].
-    Trace(u32),
-    /// Index into [`TaskGraph::solve`].
-    Solve(u32),
+    /// A task of the graph.
+    Work {
+        kind: TaskKind,
+        /// Index into [`TaskGraph::tasks`].
+        index: u32,
+    },
     Export,
 }
 
@@ -39,8 +46,7 @@ impl Node {
         match self {
             Self::Import => TaskKind::Import,
             Self::Plan => TaskKind::Plan,
-            Self::Trace(_) => TaskKind::Trace,
-            Self::Solve(_) => TaskKind::Solve,
+            Self::Work { kind, .. } => kind,
             Self::Export => TaskKind::Export,
         }
     }
@@ -55,8 +61,8 @@ pub(crate) enum Step {
     LookUp(Vec<Node>),
     /// Read a task graph.
     ReadGraph(Digest),
-    /// Store the list of solutions.
-    StoreSolutions(Vec<(u32, Digest)>),
+    /// Store the list of outputs.
+    StoreOutputs(Vec<(Output, Digest)>),
     /// Read the summary of what came out.
     ReadBaked(Digest),
 }
@@ -162,12 +168,10 @@ impl Job {
                 vec![Step::LookUp(vec![Node::Plan])]
             }
             (Phase::Planning(_), Node::Plan) => vec![Step::ReadGraph(result)],
-            (Phase::Baking(baking), Node::Trace(piece)) => {
-                baking.traced(piece, result).map(|solve| Step::LookUp(vec![solve])).into_iter().collect()
-            }
-            (Phase::Baking(baking), Node::Solve(solve)) => match baking.solved(solve, result) {
-                true => vec![Step::StoreSolutions(baking.solutions())],
-                false => Vec::new(),
+            (Phase::Baking(baking), Node::Work { index, .. }) => match baking.done(index, result) {
+                Progressed::Ready(nodes) if nodes.is_empty() => Vec::new(),
+                Progressed::Ready(nodes) => vec![Step::LookUp(nodes)],
+                Progressed::Finished => vec![Step::StoreOutputs(baking.outputs())],
             },
             (Phase::Exporting(_), Node::Export) => vec![Step::ReadBaked(result)],
             _ => Vec::new(),
@@ -179,23 +183,22 @@ impl Job {
         let Phase::Planning(planning) = &self.phase else { return Ok(Vec::new()) };
         self.warnings = shown(&graph.warnings);
         let baking = Baking::new(planning.level, graph)?;
-        let steps = match baking.is_solved() {
-            true => vec![Step::StoreSolutions(Vec::new())],
+        let steps = match baking.is_finished() {
+            true => vec![Step::StoreOutputs(Vec::new())],
             false => vec![Step::LookUp(baking.first())],
         };
-        // Instances that wait for their pieces are counted now, so that the total is right from the start.
-        for task in &baking.graph.trace {
-            self.progress.planned(TaskKind::Trace, task.ray_count);
+        // Tasks that wait for others are counted now, so that the totals are right from the start.
+        for task in &baking.graph.tasks {
+            self.progress.planned(task.work.kind(), task.rays());
         }
-        baking.graph.solve.iter().for_each(|_| self.progress.planned(TaskKind::Solve, 0));
         self.phase = Phase::Baking(Box::new(baking));
         Ok(steps)
     }
 
-    /// The list of solutions was stored.
-    pub(crate) fn solved(&mut self, solutions: Digest) -> Vec<Step> {
+    /// The list of outputs was stored.
+    pub(crate) fn listed(&mut self, outputs: Digest) -> Vec<Step> {
         let Phase::Baking(baking) = &self.phase else { return Vec::new() };
-        self.phase = Phase::Exporting(Exporting { level: baking.graph.level, solutions });
+        self.phase = Phase::Exporting(Exporting { level: baking.graph.level, outputs });
         vec![Step::LookUp(vec![Node::Export])]
     }
 
@@ -234,10 +237,9 @@ impl Job {
                 let spec = TaskSpec::Plan(PlanSpec { level: *level, lane: lane.clone() });
                 Some(whole(spec, *level, Expect::Graph { level: *level }))
             }
-            (Phase::Baking(baking), Node::Trace(piece)) => Some(trace(&baking.graph, piece, lane)),
-            (Phase::Baking(baking), Node::Solve(solve)) => Self::solve(baking, solve, lane),
-            (Phase::Exporting(Exporting { level, solutions }), Node::Export) => {
-                let spec = TaskSpec::Export(ExportSpec { source, level: *level, solutions: *solutions });
+            (Phase::Baking(baking), Node::Work { index, .. }) => work(baking, index, lane),
+            (Phase::Exporting(Exporting { level, outputs }), Node::Export) => {
+                let spec = TaskSpec::Export(ExportSpec { source, level: *level, outputs: *outputs });
                 Some(whole(spec, *level, Expect::Baked { level: *level }))
             }
             _ => None,
@@ -246,46 +248,37 @@ impl Job {
 
     /// Rays that a task may take: none unless it traces.
     pub(crate) fn rays(&self, node: Node) -> u64 {
-        if matches!(node, Node::Trace(_)) { self.cost(node).unwrap_or(0) } else { 0 }
+        self.planned_task(node).map_or(0, PlannedTask::rays)
     }
 
-    /// What leases are filled by: rays of a trace task, vertices of a solve task.
+    /// What leases are filled by, in units of the task's kind.
     pub(crate) fn cost(&self, node: Node) -> Option<u64> {
+        self.planned_task(node).map(|task| task.cost)
+    }
+
+    fn planned_task(&self, node: Node) -> Option<&PlannedTask> {
         match (&self.phase, node) {
-            (Phase::Baking(baking), Node::Trace(piece)) => Some(baking.graph.trace.get(piece as usize)?.ray_count),
-            (Phase::Baking(baking), Node::Solve(solve)) => {
-                Some(u64::from(baking.graph.solve.get(solve as usize)?.vertex_count))
-            }
+            (Phase::Baking(baking), Node::Work { index, .. }) => baking.graph.tasks.get(index as usize),
             _ => None,
         }
     }
-
-    fn solve(baking: &Baking, solve: u32, lane: &Lane) -> Option<Task> {
-        let moments = baking.inputs(solve)?;
-        let task = &baking.graph.solve[solve as usize];
-        let level = baking.graph.level;
-        let channels = baking.graph.sampling.kernel.channel_count();
-        Some(Task {
-            key: task.key(&moments),
-            spec: TaskSpec::Solve { level, instance: task.instance, moments },
-            cost: u64::from(task.vertex_count),
-            needs: Requirements { lane: Some(lane.solve.clone()), memory_bytes: 0 },
-            locality: level,
-            expect: Expect::Solution { vertices: task.vertex_count as usize, channels },
-        })
-    }
 }
 
-fn trace(graph: &TaskGraph, piece: u32, lane: &Lane) -> Task {
-    let task = &graph.trace[piece as usize];
-    Task {
-        key: task.key,
-        spec: TaskSpec::Trace { level: graph.level, task: task.clone() },
-        cost: task.ray_count,
-        needs: Requirements { lane: (!lane.is_mixed()).then(|| lane.trace.clone()), memory_bytes: 0 },
+/// A task of the graph, once its inputs are there.
+fn work(baking: &Baking, index: u32, lane: &Lane) -> Option<Task> {
+    let graph = &baking.graph;
+    let planned = graph.tasks.get(index as usize)?;
+    let inputs = baking.inputs(index)?;
+    let work = planned.work.clone();
+    let channels = graph.sampling.kernel.channel_count();
+    Some(Task {
+        key: graph.key(planned, &inputs),
+        spec: TaskSpec::Work(WorkSpec { level: graph.level, work: work.clone(), inputs }),
+        cost: planned.cost,
+        needs: Requirements { lane: lane.needed_by(work.kind()).map(str::to_owned), memory_bytes: 0 },
         locality: graph.level,
-        expect: Expect::Moments { faces: task.face_count as usize, channels: graph.sampling.kernel.channel_count() },
-    }
+        expect: Expect::Work { work, channels },
+    })
 }
 
 /// Warnings as shown to clients: the first, and how many more there are. A report has them all.

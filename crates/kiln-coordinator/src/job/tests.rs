@@ -1,38 +1,54 @@
 //! The path of a job from submission to result, without store or workers.
 
 use super::*;
-use kiln_core::{BakeSummary, Baked, Kernel, LevelCounts, Sampling, SolveTask, TraceSummary, TraceTask};
+use kiln_core::{BakeSummary, Baked, Kernel, LevelCounts, Sampling, SolveWork, TraceSummary, TraceWork, Work};
 
-/// A graph with one instance for each number of pieces.
-pub(crate) fn graph(pieces: &[u32]) -> TaskGraph {
-    let mut trace = Vec::new();
-    let mut solve = Vec::new();
-    for (instance, &count) in pieces.iter().enumerate() {
-        let instance = instance as u32;
-        let first_trace = trace.len() as u32;
-        for piece in 0..count {
-            let name = format!("piece {instance} {piece}");
-            trace.push(TraceTask {
-                key: TaskKey(Digest::of(name.as_bytes())),
-                family: Digest::default(),
-                instance,
-                first_face: piece,
-                face_count: 1,
-                density_per_m2: 1.0,
-                ray_count: 64,
-            });
-        }
-        let family = Digest::of(&instance.to_le_bytes());
-        solve.push(SolveTask { family, instance, first_trace, trace_count: count, vertex_count: 3 });
-    }
+/// A graph without tasks.
+pub(crate) fn empty() -> TaskGraph {
     TaskGraph {
         level: Digest::of(b"level"),
-        trace,
-        solve,
+        surroundings: vec![Digest::of(b"surroundings")],
+        tasks: Vec::new(),
+        inputs: Vec::new(),
         sampling: sampling(),
         counts: LevelCounts::default(),
         warnings: Vec::new(),
     }
+}
+
+/// A piece that costs 64 rays.
+pub(crate) fn piece(instance: u32, first_face: u32) -> PlannedTask {
+    let family = Digest::of(format!("piece {instance} {first_face}").as_bytes());
+    let work = TraceWork { instance, first_face, face_count: 1, density_per_m2: 1.0, alone: false };
+    PlannedTask { surroundings: Some(0), ..PlannedTask::new(Work::Trace(work), family, 64) }
+}
+
+/// The solve of a triangle: an output.
+pub(crate) fn solve(instance: u32) -> PlannedTask {
+    let work = Work::Solve(SolveWork { instance, vertex_count: 3, alone: false });
+    let output = Some(Output::Solution { instance });
+    PlannedTask { output, ..PlannedTask::new(work, Digest::of(&instance.to_le_bytes()), 3) }
+}
+
+/// A graph with one instance for each number of pieces: its pieces, and then its solve.
+pub(crate) fn graph(pieces: &[u32]) -> TaskGraph {
+    let mut graph = empty();
+    for (instance, &count) in (0..).zip(pieces) {
+        let first = graph.tasks.len() as u32;
+        for first_face in 0..count {
+            graph.add(piece(instance, first_face), []);
+        }
+        graph.add(solve(instance), first..first + count);
+    }
+    graph
+}
+
+fn trace_at(index: u32) -> Node {
+    Node::Work { kind: TaskKind::Trace, index }
+}
+
+fn solve_at(index: u32) -> Node {
+    Node::Work { kind: TaskKind::Solve, index }
 }
 
 fn sampling() -> Sampling {
@@ -46,6 +62,7 @@ fn sampling() -> Sampling {
         max_samples_per_face: 2,
         back_face_limit: 0.25,
         seed: 0,
+        foliage: kiln_core::FoliageMode::default(),
         ground_plane_y_m: None,
         no_skip: std::collections::BTreeSet::new(),
     }
@@ -81,6 +98,7 @@ pub(crate) fn baked() -> Baked {
         beyond_reach: kiln_core::BeyondReach::default(),
         error: Vec::new(),
         meshes: Vec::new(),
+        foliage: kiln_core::FoliageSummary::default(),
         warnings: Vec::new(),
     };
     Baked { file: Digest::of(b"glb"), bytes: 3, summary }
@@ -100,18 +118,27 @@ fn the_whole_path() {
     assert_eq!(job.done(Node::Import, Digest::of(b"level")), [Step::LookUp(vec![Node::Plan])]);
     assert_eq!(job.done(Node::Plan, Digest::of(b"graph")), [Step::ReadGraph(Digest::of(b"graph"))]);
     assert_eq!(job.phase.shown(), v1::BakeState::Planning);
+    // Tasks 0 and 2 are pieces, 1 and 3 their solves.
     let steps = job.planned(graph(&[1, 1])).unwrap();
-    assert_eq!(steps, [Step::LookUp(vec![Node::Trace(0), Node::Trace(1)])]);
-    assert_eq!(job.task(Node::Trace(0)).unwrap().needs.lane.as_deref(), Some("cpu"));
-    assert!(job.task(Node::Solve(0)).is_none(), "its moments are not there");
-    assert_eq!(job.done(Node::Trace(0), Digest::of(b"m0")), [Step::LookUp(vec![Node::Solve(0)])]);
-    let solve = job.task(Node::Solve(0)).unwrap();
-    assert_eq!(solve.expect, Expect::Solution { vertices: 3, channels: 1 });
-    assert_eq!(job.done(Node::Solve(0), Digest::of(b"s0")), []);
-    assert_eq!(job.done(Node::Trace(1), Digest::of(b"m1")), [Step::LookUp(vec![Node::Solve(1)])]);
-    let solutions = vec![(0, Digest::of(b"s0")), (1, Digest::of(b"s1"))];
-    assert_eq!(job.done(Node::Solve(1), Digest::of(b"s1")), [Step::StoreSolutions(solutions)]);
-    assert_eq!(job.solved(Digest::of(b"list")), [Step::LookUp(vec![Node::Export])]);
+    assert_eq!(steps, [Step::LookUp(vec![trace_at(0), trace_at(2)])]);
+    let stages: Vec<_> = job.progress.stages().iter().map(|s| (s.kind(), s.total, s.rays_total)).collect();
+    assert_eq!(stages, [(v1::TaskKind::Trace, 2, 128), (v1::TaskKind::Solve, 2, 0)]);
+    assert_eq!((job.rays(trace_at(0)), job.cost(trace_at(0))), (64, Some(64)));
+    assert_eq!((job.rays(solve_at(1)), job.cost(solve_at(1))), (0, Some(3)));
+    assert_eq!(job.task(trace_at(0)).unwrap().needs.lane.as_deref(), Some("cpu"));
+    assert!(job.task(solve_at(1)).is_none(), "its moments are not there");
+    assert_eq!(job.done(trace_at(0), Digest::of(b"m0")), [Step::LookUp(vec![solve_at(1)])]);
+    let task = job.task(solve_at(1)).unwrap();
+    assert_eq!(task.expect, Expect::Work { work: solve(0).work, channels: 1 });
+    let inputs = vec![Digest::of(b"m0")];
+    assert_eq!(task.spec, TaskSpec::Work(WorkSpec { level: Digest::of(b"level"), work: solve(0).work, inputs }));
+    assert_eq!(job.done(solve_at(1), Digest::of(b"s0")), []);
+    assert_eq!(job.done(trace_at(2), Digest::of(b"m1")), [Step::LookUp(vec![solve_at(3)])]);
+    let output = |instance, result: &[u8]| (Output::Solution { instance }, Digest::of(result));
+    let outputs = vec![output(0, b"s0"), output(1, b"s1")];
+    assert_eq!(job.done(solve_at(3), Digest::of(b"s1")), [Step::StoreOutputs(outputs)]);
+    assert_eq!(job.done(solve_at(3), Digest::of(b"s1")), [], "only once");
+    assert_eq!(job.listed(Digest::of(b"list")), [Step::LookUp(vec![Node::Export])]);
     assert_eq!(job.done(Node::Export, Digest::of(b"baked")), [Step::ReadBaked(Digest::of(b"baked"))]);
     job.succeed(Success { digest: Digest::of(b"baked"), baked: baked(), from_store: false });
     assert!(job.is_over());
@@ -130,9 +157,9 @@ fn pieces_of_a_mixed_job_run_anywhere_under_keys_of_their_own() {
     assert_eq!(plan.lane, mixed, "the plan makes the keys");
     job.done(Node::Plan, Digest::of(b"graph"));
     job.planned(graph(&[1])).unwrap();
-    assert_eq!(job.task(Node::Trace(0)).unwrap().needs.lane, None);
-    job.done(Node::Trace(0), Digest::of(b"m0"));
-    assert_eq!(job.task(Node::Solve(0)).unwrap().needs.lane, Some(lane().solve));
+    assert_eq!(job.task(trace_at(0)).unwrap().needs.lane, None);
+    job.done(trace_at(0), Digest::of(b"m0"));
+    assert_eq!(job.task(solve_at(1)).unwrap().needs.lane, Some(lane().solve));
 }
 
 #[test]
@@ -150,7 +177,38 @@ fn a_level_without_receivers_is_exported_at_once() {
     job.start(lane());
     job.no_answer();
     job.done(Node::Import, Digest::of(b"level"));
-    assert_eq!(job.planned(graph(&[])).unwrap(), [Step::StoreSolutions(vec![])]);
+    assert_eq!(job.planned(graph(&[])).unwrap(), [Step::StoreOutputs(vec![])]);
+}
+
+#[test]
+fn a_graph_that_makes_no_sense_is_refused() {
+    let mut job = job();
+    job.start(lane());
+    job.no_answer();
+    job.done(Node::Import, Digest::of(b"level"));
+    let mut wrong = graph(&[1]);
+    wrong.inputs[0] = 1;
+    let problem = kiln_core::GraphProblem::NotEarlier { task: 1, input: 1 };
+    assert_eq!(job.planned(wrong), Err(GraphError { level: Digest::of(b"level"), problem }));
+    assert!(matches!(job.phase, Phase::Planning(_)));
+}
+
+#[test]
+fn a_restart_begins_the_graph_anew() {
+    let mut job = job();
+    let planned = |job: &mut Job| {
+        job.no_answer();
+        job.done(Node::Import, Digest::of(b"level"));
+        job.planned(graph(&[1])).unwrap()
+    };
+    job.start(lane());
+    let steps = planned(&mut job);
+    job.done(trace_at(0), Digest::of(b"m0"));
+    assert!(job.restart());
+    assert_eq!(job.done(trace_at(0), Digest::of(b"m0")), [], "not while the graph is not there");
+    assert_eq!(planned(&mut job), steps);
+    assert!(job.task(solve_at(1)).is_none(), "what was there before is looked up again");
+    assert_eq!(job.done(trace_at(0), Digest::of(b"m0")), [Step::LookUp(vec![solve_at(1)])]);
 }
 
 #[test]

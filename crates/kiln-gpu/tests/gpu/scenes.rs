@@ -40,6 +40,7 @@ fn mesh(triangles: &[Triangle], double_sided: usize) -> Mesh {
         class: Class::Opaque,
         double_sided,
         occludes: true,
+        foliage: None,
         receives: true,
         max_samples_per_face: None,
     };
@@ -295,6 +296,28 @@ pub(crate) fn all() -> Vec<TestScene> {
         TestScene::new("terrain", &hills(48), vec![still(0)]),
         TestScene::new("nothing", &[], vec![]),
     ]
+}
+
+/// Instances that strain a transform: far away, tiny and huge, flat and long, mirrored; and coincident with themselves.
+pub(crate) fn strained() -> TestScene {
+    let mut numbers = Numbers(21);
+    let meshes = vec![mesh(&soup(300, 0.3, &mut numbers), usize::MAX), mesh(&hills(20), usize::MAX)];
+    let far = DVec3::new(1900.0, -2500.0, 300.0);
+    let scales = [
+        DVec3::splat(1.0),
+        DVec3::splat(0.02),
+        DVec3::splat(40.0),
+        DVec3::new(30.0, 0.5, 1.0),
+        DVec3::new(-1.0, 1.0, 0.03),
+        DVec3::new(-2.0, -0.7, -1.3),
+    ];
+    let objects = scales.iter().enumerate().flat_map(|(i, scale)| {
+        let [x, y, z] = (numbers.point().as_dvec3() * 3.0).to_array();
+        let turn = DQuat::from_rotation_x(x) * DQuat::from_rotation_y(y) * DQuat::from_rotation_z(z);
+        let object = placed(usize::from(i % 3 == 2), *scale, turn, far + numbers.point().as_dvec3() * 5.0);
+        [object.clone(), object]
+    });
+    TestScene { name: "strained instances", objects: objects.collect(), meshes }
 }
 
 /// From 26 triangles to half a million.

@@ -1,8 +1,9 @@
 //! Gives each baked instance a mesh with its values, and expands nodes of EXT_mesh_gpu_instancing.
 
 use super::{
-    Target, array_mut,
+    Model, Target, array_mut,
     buffers::{Attributes, Binary},
+    numbers::write_box,
     values::{block_values, color_exists, color_width, colors, greys, of_block},
 };
 use crate::{
@@ -31,13 +32,21 @@ pub(super) fn assign(
     document: &Document<'_>,
     level: &Level,
     targets: &[Target<'_>],
+    models: &[Model<'_>],
     root: &mut Value,
     binary: &mut Binary,
     findings: &mut Findings,
 ) -> Result<(), SceneError> {
     let mut assigner = Assigner { document, level, root, binary, free: BTreeMap::new() };
     let by_node = group_by_node(targets);
-    assigner.find_free_meshes(&by_node)?;
+    let mut baked: BTreeMap<u32, usize> = by_node.iter().map(|(node, targets)| (*node, targets.len())).collect();
+    models.iter().flat_map(|model| &model.nodes).for_each(|(node, _)| *baked.entry(*node).or_default() += 1);
+    assigner.find_free_meshes(&baked)?;
+    for model in models {
+        let mesh = assigner.mesh_for(&model.target)?;
+        write_box(assigner.root, mesh, model.target.entry);
+        model.nodes.iter().for_each(|(node, _)| assigner.root["nodes"][*node as usize]["mesh"] = json!(mesh));
+    }
     let mut meshes = BTreeMap::new();
     for target in targets {
         let mesh = assigner.mesh_for(target)?;
@@ -77,11 +86,11 @@ struct Assigner<'x, 'd> {
 
 impl Assigner<'_, '_> {
     /// Finds the meshes that no node uses but for baked ones: the first of these may change the mesh itself.
-    fn find_free_meshes(&mut self, by_node: &BTreeMap<u32, Vec<&Target<'_>>>) -> Result<(), SceneError> {
+    fn find_free_meshes(&mut self, by_node: &BTreeMap<u32, usize>) -> Result<(), SceneError> {
         for (index, node) in self.document.list("nodes")?.iter().enumerate() {
             // A node outside the scene may refer to nothing: import didn't look at it, and it stays as it is.
             let Some(mesh) = node.get("mesh").and_then(|mesh| mesh.index().ok()) else { continue };
-            let baked = by_node.get(&(index as u32)).map_or(0, Vec::len);
+            let baked = by_node.get(&(index as u32)).copied().unwrap_or(0);
             let wanted = if node.extension(EXTENSION).is_some() && baked > 0 {
                 GpuInstances::read(self.document, &node, limits::INSTANCES)?.map_or(1, |instances| instances.count)
             } else {

@@ -8,6 +8,7 @@
 
 mod assign;
 mod buffers;
+mod numbers;
 #[cfg(test)]
 mod tests;
 mod values;
@@ -23,6 +24,8 @@ pub(crate) use assign::RESIDUAL;
 use assign::assign;
 use buffers::Binary;
 use kiln_core::{Digest, Instance, Kernel, Level, MeshEntry, Warning};
+pub use numbers::NumberedInstance;
+pub(crate) use numbers::{GLOBAL, SCALAR};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 
@@ -35,6 +38,15 @@ pub struct BakedInstance<'a> {
     pub values: &'a [f32],
     /// Deviations in the same form, for `_AO_RESIDUAL`; not read where the level's output doesn't ask for them.
     pub residuals: &'a [f32],
+}
+
+/// Local AO of a model, which all its instances share.
+#[derive(Clone, Copy, Debug)]
+pub struct BakedModel<'a> {
+    /// Index into [`Level::meshes`]; its instances have [`kiln_core::InstanceNumbers::Global`].
+    pub mesh: usize,
+    /// `vertices × channels` values from 0 to 1, in the order of the mesh's vertices.
+    pub values: &'a [f32],
 }
 
 /// What to export.
@@ -52,6 +64,10 @@ pub struct ExportRequest<'a> {
     pub version: &'a str,
     /// Values, in any order. Instances without any keep what they had.
     pub values: &'a [BakedInstance<'a>],
+    /// Values of models whose instances have numbers of their own, in any order.
+    pub models: &'a [BakedModel<'a>],
+    /// Numbers of instances that have no values, in any order.
+    pub numbers: &'a [NumberedInstance<'a>],
 }
 
 /// The baked file.
@@ -74,6 +90,13 @@ struct Target<'a> {
     residuals: Option<&'a [f32]>,
 }
 
+/// A model that gets values, once for all its instances.
+struct Model<'a> {
+    target: Target<'a>,
+    /// Node of each instance, and index within its EXT_mesh_gpu_instancing.
+    nodes: Vec<(u32, Option<u32>)>,
+}
+
 /// Writes the source with the values added.
 ///
 /// # Errors
@@ -82,10 +105,13 @@ pub fn export(request: &ExportRequest<'_>) -> Result<Exported, SceneError> {
     let level_bytes = read_level(request.level_name, request.files)?;
     let document = Document::parse(request.level_name, &level_bytes, request.files)?;
     let targets = targets(request, &document)?;
+    let models = models(request, &document)?;
+    numbers::check(request.level, request.numbers)?;
     let mut findings = Findings::default();
     let mut root = document.root.clone();
     let mut binary = Binary::merge(&document, &mut root)?;
-    assign(&document, request.level, &targets, &mut root, &mut binary, &mut findings)?;
+    assign(&document, request.level, &targets, &models, &mut root, &mut binary, &mut findings)?;
+    numbers::write(&document, request.level, request.numbers, &mut root, &mut binary)?;
     record(request, &mut root, &mut findings);
     findings.add(Finding::ExternalImages, request.level_name, external_image_count(&document));
     let bytes = binary.finish(&mut root);
@@ -140,6 +166,35 @@ fn targets<'a>(request: &ExportRequest<'a>, document: &Document<'_>) -> Result<V
         targets.push(Target { instance, entry, values: baked.values, residuals });
     }
     Ok(targets)
+}
+
+/// The models, each as a target at its first instance, with the nodes of all of them.
+fn models<'a>(request: &ExportRequest<'a>, document: &Document<'_>) -> Result<Vec<Model<'a>>, SceneError> {
+    let level = request.level;
+    let channels = level.sampling.kernel.channel_count();
+    let numbered: BTreeSet<usize> = request.numbers.iter().map(|numbered| numbered.instance).collect();
+    let mut models = Vec::with_capacity(request.models.len());
+    let mut sorted: Vec<&BakedModel<'a>> = request.models.iter().collect();
+    sorted.sort_by_key(|model| model.mesh);
+    for model in sorted {
+        let has_it = |index: &usize| level.instances.get(*index).is_some_and(|i| i.mesh as usize == model.mesh);
+        let instances: Vec<&Instance> = numbered.iter().filter(|i| has_it(i)).map(|i| &level.instances[*i]).collect();
+        let (Some(instance), Some(entry)) = (instances.first(), level.meshes.get(model.mesh)) else { continue };
+        let mismatch = |problem: String| SceneError::Mismatch {
+            instance: numbered.iter().copied().find(has_it).unwrap_or(0),
+            problem,
+        };
+        check_numbers("value", model.values, entry.vertex_count as usize, channels).map_err(mismatch)?;
+        if !blocks_fit(document, entry)? {
+            return Err(mismatch("the source has other primitives in its mesh".to_owned()));
+        }
+        let target = Target { instance, entry, values: model.values, residuals: None };
+        models.push(Model {
+            target,
+            nodes: instances.iter().map(|instance| (instance.node, instance.gpu_instance)).collect(),
+        });
+    }
+    Ok(models)
 }
 
 /// Checks that there is a finite number for each vertex and channel, or says what is wrong.

@@ -319,7 +319,8 @@ fn what_does_not_fit_is_refused() {
     let export_with = |files: &Files, values: &[BakedInstance<'_>]| {
         let level_digest = Digest::default();
         let (level_name, level, version) = ("level.glb", &import.level, "0");
-        export(&ExportRequest { level_name, files, level, level_digest, version, values }).map(|_| ())
+        export(&ExportRequest { level_name, files, level, level_digest, version, values, models: &[], numbers: &[] })
+            .map(|_| ())
     };
     let refused = |values: &[BakedInstance<'_>]| export_with(&files, values).unwrap_err();
     let good = BakedInstance { instance: 0, values: &[0.5; 8], residuals: &[] };
@@ -332,7 +333,16 @@ fn what_does_not_fit_is_refused() {
     level.output.residual = true;
     let (level_name, level_digest, version) = ("level.glb", Digest::default(), "0");
     let values = &[BakedInstance { residuals: &[0.5; 7], ..good }];
-    let request = ExportRequest { level_name, files: &files, level: &level, level_digest, version, values };
+    let request = ExportRequest {
+        level_name,
+        files: &files,
+        level: &level,
+        level_digest,
+        version,
+        values,
+        models: &[],
+        numbers: &[],
+    };
     assert!(export(&request).unwrap_err().to_string().contains("7 residuals for 4 vertices"));
     let mut other = Fixture::new();
     let position = other.floats(&SQUARE[..3]);
@@ -363,4 +373,105 @@ fn defects_outside_the_scene_do_not_stop_an_export() {
     fixture.json["images"] = json!({});
     let baked = bake(&fixture, &default());
     survives(&fixture.json, &baked.json, "");
+}
+
+/// The square twice as a tree, once as a shrub, and once as itself.
+fn with_foliage() -> (Fixture, Import) {
+    let mut fixture = Fixture::square();
+    for (name, x) in [("tree_1", 2.0), ("tree_2", 4.0), ("shrub", 6.0)] {
+        fixture.root_node(json!({ "name": name, "mesh": 0, "translation": [x, 0.0, 0.0] }));
+    }
+    let offsets = fixture.floats(&[[0.0f32, 1.0, 0.0], [3.0, 1.0, 0.0]]);
+    let instancing = json!({ "EXT_mesh_gpu_instancing": { "attributes": { "TRANSLATION": offsets } } });
+    fixture.root_node(json!({ "name": "tree_many", "mesh": 0, "extensions": instancing }));
+    let rules = "[[class]]\nmatch = 'tree_*'\nclass = 'tree'\n[[class]]\nmatch = 'shrub'\nclass = 'shrub'\n";
+    let import = fixture.import_with(&default(), rules).unwrap();
+    (fixture, import)
+}
+
+#[test]
+fn numbers_of_instances_come_back_composed() {
+    use kiln_core::{Gets, InstanceNumbers};
+    let (fixture, import) = with_foliage();
+    let level = &import.level;
+    let gets: Vec<Gets> = level.instances.iter().map(|instance| instance.gets).collect();
+    assert_eq!(gets, [Gets::Vertices, Gets::Global, Gets::Global, Gets::Scalar, Gets::Global, Gets::Global]);
+    let number = |index: usize| match gets[index] {
+        Gets::Global => {
+            let y = |channel: usize| [0.5 + index as f32 / 16.0, 0.125, -0.25 * channel as f32, 0.0];
+            InstanceNumbers::Global { channels: vec![y(0), y(1)], blend: y(1) }
+        }
+        _ => InstanceNumbers::Scalar { ao: vec![0.25, 0.75], is_open: false },
+    };
+    let all: Vec<InstanceNumbers> = (0..6).map(number).collect();
+    let numbers: Vec<_> =
+        (1..6).map(|instance| super::NumberedInstance { instance, numbers: &all[instance] }).collect();
+    let own = vec![0.9; level.meshes[0].vertex_count as usize * 2];
+    let local: Vec<f32> = (0..level.meshes[1].vertex_count * 2).map(|i| (i % 7) as f32 / 8.0).collect();
+    let files = fixture.files();
+    let request = ExportRequest {
+        level_name: "level.glb",
+        files: &files,
+        level,
+        level_digest: Digest::default(),
+        version: "1.2.3",
+        values: &[BakedInstance { instance: 0, values: &own, residuals: &[] }],
+        models: &[super::BakedModel { mesh: level.instances[1].mesh as usize, values: &local }],
+        numbers: &numbers,
+    };
+    let glb = export(&request).unwrap().glb;
+    let files: Files = [("b.glb".to_owned(), glb)].into();
+    let scene = read_baked("b.glb", &files).unwrap();
+    let names: Vec<&str> = scene.parts.iter().map(|part| part.node.as_str()).collect();
+    assert_eq!(names, ["square", "tree_1", "tree_2", "shrub", "tree_many[0]", "tree_many[1]"]);
+    assert!(scene.parts[0].ao.iter().all(|ao| *ao == 0.9));
+    assert!(scene.parts[3].ao.chunks(2).all(|ao| ao == [0.25, 0.75]));
+    let (min, max) = (level.meshes[1].bounds.min, level.meshes[1].bounds.max);
+    for index in [1usize, 2, 4, 5] {
+        let part = &scene.parts[index];
+        let InstanceNumbers::Global { channels, .. } = &all[index] else { panic!("a tree") };
+        for (vertex, source) in SQUARE.iter().enumerate() {
+            for channel in 0..2 {
+                let u = |axis: usize| {
+                    let half = 0.5 * (max[axis] - min[axis]) as f32;
+                    let middle = 0.5 * (max[axis] + min[axis]) as f32;
+                    if half > 0.0 { (source[axis] - middle) / half } else { 0.0 }
+                };
+                let y = channels[channel];
+                let global = y[0] + y[1] * u(0) + y[2] * u(1) + y[3] * u(2);
+                let expected = (local[2 * vertex + channel] * global).clamp(0.0, 1.0);
+                assert!((part.ao[2 * vertex + channel] - expected).abs() < 1e-6, "{index} {vertex} {channel}");
+            }
+        }
+    }
+    // All trees share one mesh, so that it is there once; the others have the source's.
+    let json: Value = serde_json::from_slice(Glb::parse(&files["b.glb"]).unwrap().json).unwrap();
+    assert_eq!(json["meshes"].as_array().unwrap().len(), 3);
+    assert_eq!(json["nodes"][1]["mesh"], json["nodes"][2]["mesh"]);
+    assert_eq!(json["nodes"][3]["extras"]["kiln"]["ao"], json!([0.25, 0.75]));
+}
+
+#[test]
+fn numbers_that_do_not_fit_are_refused() {
+    use kiln_core::InstanceNumbers;
+    let (fixture, import) = with_foliage();
+    let refusal = |instance: usize, numbers: InstanceNumbers| {
+        let files = fixture.files();
+        let numbers = [super::NumberedInstance { instance, numbers: &numbers }];
+        let request = ExportRequest {
+            level_name: "level.glb",
+            files: &files,
+            level: &import.level,
+            level_digest: Digest::default(),
+            version: "1",
+            values: &[],
+            models: &[],
+            numbers: &numbers,
+        };
+        export(&request).unwrap_err().to_string()
+    };
+    let scalar = |ao: Vec<f32>| InstanceNumbers::Scalar { ao, is_open: false };
+    assert!(refusal(99, scalar(vec![1.0, 1.0])).contains("there is no such one"));
+    assert!(refusal(3, scalar(vec![1.0])).contains("1 channels of 2"));
+    assert!(refusal(3, scalar(vec![1.0, f32::NAN])).contains("not finite"));
 }

@@ -66,7 +66,8 @@ pub fn import(
     let mut findings = Findings::default();
     findings.add(Finding::BytesAfterEnd, level_name, document.bytes_after_end as u64);
     let placements = placements(&document, &mut findings)?;
-    let rules = Rules { classes: &sidecar.classes, only: only(settings)?, output: &settings.output };
+    let only = only(settings)?;
+    let rules = Rules { classes: &sidecar.classes, only, foliage: settings.foliage, output: &settings.output };
     let gathered = gather(&document, &placements, &rules, &mut findings)?;
     check_only(settings, &gathered)?;
 
@@ -164,6 +165,7 @@ fn cast(variant: &Variant<'_>, built: Built, gathered: &Gathered<'_>) -> Cast {
         face_count: mesh.faces.len() as u32,
         duplicate_faces: u32::try_from(tally.duplicate).unwrap_or(u32::MAX),
         bounds,
+        center,
         source_mesh: variant.source_mesh as u32,
         blocks,
     };

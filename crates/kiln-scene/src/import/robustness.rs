@@ -46,7 +46,7 @@ fn golden_import() {
     let import = rich().import().unwrap();
     let digest = Digest::of(&codec::encode(&import.level));
     assert_eq!(import.level.instances.len(), 3);
-    assert_eq!(digest.to_string(), "d5761e96ee1aca8fdff5412660ac330d8e7d4c232a793f548f7f4eccb7cca08f");
+    assert_eq!(digest.to_string(), "d3a279e9d96bf876e33b152099ae4ea47bf5aac4ab6e88b3117c4579dc8e2ed0");
 }
 
 proptest! {

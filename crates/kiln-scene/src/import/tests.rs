@@ -217,13 +217,16 @@ fn rules_on_nodes_make_variants() {
 }
 
 #[test]
-fn foliage_bakes_as_opaque_with_a_warning() {
+fn foliage_is_told_from_what_stops_rays() {
     let rules = "[[class]]\nmatch = 'square'\nclass = 'tree'\ntransmittance_per_crossing = 0.5\n";
     let import = Fixture::square().import_with(&BakeSettings::default(), rules).unwrap();
     let group = &mesh_of(&import, 0).groups[0];
-    assert!(group.class == Class::Tree && group.occludes && group.receives);
-    let warning = &import.level.warnings[0];
-    assert_eq!((warning.code.as_str(), warning.subject.as_str(), warning.count), ("foliage", "tree", 2));
+    assert!(group.class == Class::Tree && !group.occludes && group.receives);
+    assert_eq!(group.foliage, Some(kiln_core::Foliage::Crossing(kiln_core::OpticalDepth(1 << 16))));
+    assert_eq!(import.level.warnings, []);
+    let settings = BakeSettings { foliage: kiln_core::FoliageMode::Geometry, ..BakeSettings::default() };
+    let group = mesh_of(&Fixture::square().import_with(&settings, rules).unwrap(), 0).groups[0].clone();
+    assert!(group.class == Class::Tree && group.occludes && group.foliage.is_none());
 }
 
 #[test]

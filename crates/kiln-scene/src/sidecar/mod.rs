@@ -10,8 +10,8 @@
 //! max_samples_per_face = 4
 //! occludes = true                   # in place of what class and material say
 //! receives = true
-//! # transmittance_per_crossing = 0.5 (tree, shrub, decorator)
-//! # density_per_m = 0.3              (shrub)
+//! # transmittance_per_crossing = 0.5 (tree)
+//! # density_per_m = 0.3              (shrub; derived from its mesh if absent)
 //!
 //! [gates]                           # a bake that misses one ends with exit code 4
 //! max_rmse = 0.006
@@ -81,7 +81,7 @@ pub struct ClassRule {
     matcher: GlobMatcher,
     /// The class.
     pub class: Class,
-    /// Part of the light that passes each surface of foliage, 0 to 1.
+    /// Part of the light that passes each surface of a tree, 0 to 1.
     pub transmittance_per_crossing: Option<f64>,
     /// Density of a shrub's fog, 1/m.
     pub density_per_m: Option<f64>,
@@ -148,9 +148,11 @@ fn class_rule(table: &Table<'_>) -> Result<ClassRule, SceneError> {
     let class = parse_class(name.string()?).map_err(|(problem, advice)| name.error(problem, &advice))?;
     let transmittance = table.get("transmittance_per_crossing");
     let density = table.get("density_per_m");
-    let foliage = matches!(class, Class::Tree | Class::Shrub | Class::Decorator);
-    if let Some(entry) = transmittance.as_ref().or(density.as_ref()).filter(|_| !foliage) {
-        return Err(entry.error("this key is for foliage", "use it with the class tree, shrub or decorator"));
+    if let Some(entry) = transmittance.as_ref().filter(|_| class != Class::Tree) {
+        return Err(entry.error("this key is for foliage that is crossed", "use it with the class tree"));
+    }
+    if let Some(entry) = density.as_ref().filter(|_| class != Class::Shrub) {
+        return Err(entry.error("this key is for foliage that is fog", "use it with the class shrub"));
     }
     Ok(ClassRule {
         pattern: pattern.string()?.to_owned(),

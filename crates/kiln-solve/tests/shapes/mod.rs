@@ -12,6 +12,7 @@ pub(crate) fn mesh(positions: Vec<[f32; 3]>, faces: Vec<[u32; 3]>) -> Mesh {
         class: Class::Opaque,
         double_sided: false,
         occludes: true,
+        foliage: None,
         receives: true,
         max_samples_per_face: None,
     };

@@ -29,10 +29,15 @@ impl Backend {
         }
     }
 
-    /// A tracer over a scene.
+    /// A tracer over a scene. Where rays go through foliage it is the processor's, whatever the backend.
     pub fn tracer(&self, scene: &Arc<Scene>) -> Result<Arc<dyn Tracer>, GpuError> {
         Ok(match self {
             Self::Cpu => Arc::new(CpuTracer::new(Arc::clone(scene))),
+            Self::Gpu(device) if scene.foliage().is_some() => {
+                let card = device.describe();
+                tracing::warn!(%card, "rays through foliage are traced on the processor: the card's tracer has no foliage yet");
+                Arc::new(CpuTracer::new(Arc::clone(scene)))
+            }
             Self::Gpu(device) => Arc::new(GpuTracer::new(Arc::clone(device), scene)?),
         })
     }

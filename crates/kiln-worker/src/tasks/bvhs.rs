@@ -138,6 +138,7 @@ mod tests {
             class: kiln_core::Class::Opaque,
             double_sided: false,
             occludes: true,
+            foliage: None,
             receives: true,
             max_samples_per_face: None,
         };

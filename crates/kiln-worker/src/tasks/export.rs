@@ -3,6 +3,7 @@
 use super::{
     LoadedLevel,
     import::{LoadedFiles, manifest},
+    outputs::{FoliageOutputs, Outputs},
 };
 use crate::{Artefacts, TaskError, TaskOutput};
 use bytes::Bytes;
@@ -18,7 +19,9 @@ use rayon::prelude::*;
 pub(super) fn run(spec: &ExportSpec, level: &LoadedLevel, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
     let (manifest, level_name) = manifest(spec.source, artefacts)?;
     let files = LoadedFiles::load(&manifest.files, artefacts)?;
-    let (indices, mut solutions) = load_solutions(spec.solutions, artefacts)?;
+    let outputs = Outputs::load(spec.outputs, artefacts)?;
+    let (indices, mut solutions) = load_solutions(&outputs, artefacts)?;
+    let foliage = FoliageOutputs::load(&outputs, level, artefacts)?;
     let filled = fill(level, &indices, &mut solutions)?;
 
     let values: Vec<BakedInstance<'_>> = indices
@@ -36,20 +39,21 @@ pub(super) fn run(spec: &ExportSpec, level: &LoadedLevel, artefacts: &dyn Artefa
         level_digest: level.digest,
         version: env!("CARGO_PKG_VERSION"),
         values: &values,
+        models: &foliage.models(),
+        numbers: &foliage.numbers(),
     };
     let exported = kiln_scene::export(&request).map_err(|error| TaskError::Refused { reason: error.to_string() })?;
     let warnings = [level.level.warnings.clone(), filled, exported.warnings].concat();
     let baked = Baked {
         file: Digest::of(&exported.glb),
         bytes: exported.glb.len() as u64,
-        summary: summary(level, &indices, &solutions, warnings),
+        summary: summary(level, &indices, &solutions, &foliage, warnings),
     };
     Ok(TaskOutput { result: codec::encode(&baked), attachments: vec![exported.glb], rays: 0 })
 }
 
-fn load_solutions(list: Digest, artefacts: &dyn Artefacts) -> Result<(Vec<u32>, Vec<Solution>), TaskError> {
-    let list: Vec<(u32, Digest)> = codec::decode("a list of solutions", &artefacts.get(list)?)?;
-    let (indices, digests): (Vec<u32>, Vec<Digest>) = list.into_iter().unzip();
+fn load_solutions(outputs: &Outputs, artefacts: &dyn Artefacts) -> Result<(Vec<u32>, Vec<Solution>), TaskError> {
+    let (indices, digests): (Vec<u32>, Vec<Digest>) = outputs.solutions.iter().copied().unzip();
     let decode = |bytes: &Bytes| Ok(codec::decode("a solution", bytes)?);
     let solutions: Result<_, TaskError> = artefacts.get_once(&digests)?.par_iter().map(decode).collect();
     Ok((indices, solutions?))
@@ -87,10 +91,17 @@ fn fill(level: &LoadedLevel, indices: &[u32], solutions: &mut [Solution]) -> Res
     }])
 }
 
-fn summary(level: &LoadedLevel, indices: &[u32], solutions: &[Solution], warnings: Vec<Warning>) -> BakeSummary {
+fn summary(
+    level: &LoadedLevel,
+    indices: &[u32],
+    solutions: &[Solution],
+    foliage: &FoliageOutputs,
+    warnings: Vec<Warning>,
+) -> BakeSummary {
     let mut trace = TraceSummary::default();
     solutions.iter().for_each(|solution| trace.merge(&solution.summary.trace));
     trace.rays_skipped_duplicate = rays_of_duplicates(level, indices, solutions);
+    foliage.add_to(&mut trace);
     let mesh = |(&index, solution): (&u32, &Solution)| {
         let instance = &level.level.instances[index as usize];
         let mesh = level.level.meshes[instance.mesh as usize].name.clone();
@@ -107,6 +118,7 @@ fn summary(level: &LoadedLevel, indices: &[u32], solutions: &[Solution], warning
         beyond_reach: beyond_reach(level, indices, solutions),
         error: level_error(solutions, level.level.sampling.kernel.channel_count()),
         meshes: indices.iter().zip(solutions).map(mesh).collect(),
+        foliage: foliage.summary(level),
         warnings,
     }
 }

@@ -1,9 +1,13 @@
 //! Import: source files to a level and its meshes.
 
 use crate::{Artefacts, TaskError, TaskOutput};
-use kiln_core::{Digest, SourceFile, SourceManifest, codec};
-use kiln_scene::{SidecarText, SourceFiles};
-use std::{borrow::Cow, collections::BTreeMap};
+use kiln_core::{Class, Digest, FoliageMode, Mesh, SourceFile, SourceManifest, codec};
+use kiln_scene::{Import, MeshBlob, SidecarText, SourceFiles};
+use rayon::prelude::*;
+use std::{
+    borrow::Cow,
+    collections::{BTreeMap, HashMap},
+};
 
 /// Files of a source, loaded from artefacts.
 pub(super) struct LoadedFiles(BTreeMap<String, Vec<u8>>);
@@ -40,10 +44,24 @@ pub(super) fn run(source: Digest, artefacts: &dyn Artefacts) -> Result<TaskOutpu
         None => None,
     };
     let sidecar = sidecar.as_ref().map(|(name, text)| SidecarText { name, text });
-    let import = kiln_scene::import(&name, &files, sidecar, &manifest.settings)
+    let mut import = kiln_scene::import(&name, &files, sidecar, &manifest.settings)
         .map_err(|error| TaskError::Refused { reason: error.to_string() })?;
+    place_fog(&mut import)?;
     let attachments = import.meshes.into_iter().map(|mesh| mesh.bytes).collect();
     Ok(TaskOutput { result: codec::encode(&import.level), attachments, rays: 0 })
+}
+
+/// Gives shrubs their fog, whose density may have to be measured on their meshes.
+fn place_fog(import: &mut Import) -> Result<(), TaskError> {
+    let has_shrubs = import.level.counts.classes.get(&Class::Shrub).is_some_and(|faces| *faces > 0);
+    if !has_shrubs || import.level.sampling.foliage == FoliageMode::Geometry {
+        return Ok(());
+    }
+    let decode = |blob: &MeshBlob| Ok((blob.digest, codec::decode::<Mesh>("a mesh", &blob.bytes)?));
+    let meshes: HashMap<Digest, Mesh> = import.meshes.par_iter().map(decode).collect::<Result<_, TaskError>>()?;
+    let digests: Vec<Digest> = import.level.meshes.iter().map(|entry| entry.digest).collect();
+    kiln_bake::place_fog(&mut import.level, |index| meshes.get(digests.get(index)?));
+    Ok(())
 }
 
 fn sidecar_text(file: &SourceFile, artefacts: &dyn Artefacts) -> Result<String, TaskError> {

@@ -4,7 +4,8 @@
 use super::{
     Backend,
     bvhs::{BvhKeeper, NamedMesh},
-    out_of_range,
+    fit, out_of_range,
+    trees::{Model, Trees},
 };
 use crate::{
     Artefacts, LocalCache, TaskError,
@@ -12,13 +13,14 @@ use crate::{
     threads::on_all_threads,
 };
 use glam::{DAffine3, DVec3};
+use kiln_bake::volume::{Volume, VolumeError};
 use kiln_core::{Bounds, Class, Digest, FaceGroup, Instance, Level, Mesh, REACH_EPSILON, codec};
 use kiln_gpu::GpuError;
 use kiln_plan::Reach;
-use kiln_trace::{MeshBvh, Scene, SceneObject, Tracer};
+use kiln_trace::{CrossingMesh, Foliage, FoliageObject, MeshBvh, Scene, SceneObject, Tracer};
 use rayon::prelude::*;
 use std::{
-    collections::{BTreeSet, HashMap},
+    collections::{BTreeMap, BTreeSet, HashMap},
     sync::{Arc, Mutex, OnceLock, PoisonError},
 };
 
@@ -45,6 +47,13 @@ pub struct LoadedLevel {
     scene: OnceLock<Arc<Scene>>,
     /// Of the CPU and of the device.
     tracers: [OnceLock<Result<SceneTracer, GpuError>>; 2],
+    trees: OnceLock<Result<Trees, VolumeError>>,
+    /// Which of the instances with values each run of those with one number may read, by the run's first.
+    near: OnceLock<BTreeMap<u32, Vec<u32>>>,
+    /// The volume around trees, and the batches that it was made of.
+    volume: Mutex<Option<(Vec<Digest>, Arc<Volume>)>>,
+    /// Models alone, by mesh and backend.
+    alone: Mutex<HashMap<(u32, bool), SceneTracer>>,
 }
 
 impl LoadedLevel {
@@ -68,16 +77,84 @@ impl LoadedLevel {
         let nothing = Arc::new(Mesh::default());
         let mesh = |digest| Arc::clone(by_digest.get(digest).unwrap_or(&nothing));
         let meshes = level.meshes.iter().map(|entry| mesh(&entry.digest)).collect();
-        Ok(Self { level, digest, meshes, reach, is_traced, scene: OnceLock::new(), tracers: Default::default() })
+        Ok(Self::of(digest, level, meshes, reach, is_traced))
     }
 
     /// A level whose meshes were loaded elsewhere. All of it is traced: rays may start anywhere.
-    pub fn new(digest: Digest, level: Level, meshes: Vec<Arc<Mesh>>) -> Result<Self, TaskError> {
+    pub fn new(digest: Digest, mut level: Level, meshes: Vec<Arc<Mesh>>) -> Result<Self, TaskError> {
         if let Some(instance) = level.instances.iter().find(|i| i.mesh as usize >= meshes.len()) {
             return Err(out_of_range("mesh", instance.mesh));
         }
+        kiln_bake::place_fog(&mut level, |index| meshes.get(index).map(|mesh| &**mesh));
         let (reach, is_traced) = (reach(&level)?, vec![true; level.instances.len()]);
-        Ok(Self { level, digest, meshes, reach, is_traced, scene: OnceLock::new(), tracers: Default::default() })
+        Ok(Self::of(digest, level, meshes, reach, is_traced))
+    }
+
+    fn of(digest: Digest, level: Level, meshes: Vec<Arc<Mesh>>, reach: Reach, is_traced: Vec<bool>) -> Self {
+        Self {
+            level,
+            digest,
+            meshes,
+            reach,
+            is_traced,
+            scene: OnceLock::new(),
+            tracers: Default::default(),
+            trees: OnceLock::new(),
+            near: OnceLock::new(),
+            volume: Mutex::default(),
+            alone: Mutex::default(),
+        }
+    }
+
+    /// A box around an instance and the origins of its rays, metres.
+    pub(super) fn seen_m(&self, instance: usize) -> Bounds {
+        let placed = &self.level.instances[instance];
+        kiln_bake::seen_bounds(&self.level.meshes[placed.mesh as usize].bounds, &placed.world_from_object)
+    }
+
+    /// The foliage that gets something.
+    pub(super) fn trees(&self) -> Result<&Trees, TaskError> {
+        let trees = self.trees.get_or_init(|| Trees::new(&self.level, &self.reach, |index| self.seen_m(index)));
+        trees
+            .as_ref()
+            .map_err(|error| TaskError::Refused { reason: format!("the volume around the level's trees: {error}") })
+    }
+
+    /// The instances with values that a run of those with one number may read.
+    pub(super) fn near(&self, first: u32) -> Result<&[u32], TaskError> {
+        let trees = self.trees()?;
+        let near = self.near.get_or_init(|| trees.near(self));
+        near.get(&first).map(Vec::as_slice).ok_or_else(|| out_of_range("run of shrubs from", first))
+    }
+
+    /// The volume around trees, from its batches; put together once.
+    pub(super) fn volume(&self, batches: &[Digest], artefacts: &dyn Artefacts) -> Result<Arc<Volume>, TaskError> {
+        let mut known = account::waiting(|| self.volume.lock()).unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, volume)) = known.as_ref().filter(|(of, _)| of == batches) {
+            return Ok(Arc::clone(volume));
+        }
+        let volume = Arc::new(fit::assemble(self, batches, artefacts)?);
+        *known = Some((batches.to_vec(), Arc::clone(&volume)));
+        Ok(volume)
+    }
+
+    /// A model of trees by itself, and a backend's tracer over it.
+    pub(super) fn alone(&self, model: &Model, backend: &Backend) -> Result<SceneTracer, TaskError> {
+        let mut known = account::waiting(|| self.alone.lock()).unwrap_or_else(PoisonError::into_inner);
+        let key = (model.mesh, matches!(backend, Backend::Gpu(_)));
+        if let Some((scene, tracer)) = known.get(&key) {
+            return Ok((Arc::clone(scene), Arc::clone(tracer)));
+        }
+        let mesh = &self.meshes[model.mesh as usize];
+        let world_from_object = model.place();
+        let crossings = CrossingMesh::build(mesh).map(Arc::new);
+        let objects: Vec<FoliageObject> =
+            crossings.into_iter().map(|mesh| FoliageObject::Crossings { mesh, world_from_object }).collect();
+        let scene = Scene::build(vec![Arc::new(MeshBvh::build(mesh))], &[SceneObject { mesh: 0, world_from_object }]);
+        let scene = Arc::new(scene.with_foliage(Foliage::build(&objects, self.level.sampling.foliage)));
+        let tracer = backend.tracer(&scene).map_err(|error| gpu_error(&error))?;
+        known.insert(key, (Arc::clone(&scene), Arc::clone(&tracer)));
+        Ok((scene, tracer))
     }
 
     /// What the rays of each instance can come to.
@@ -111,10 +188,7 @@ impl LoadedLevel {
         let scene = build_once(&self.scene, || Arc::new(self.build_scene(bvhs, cache)));
         let tracer = &self.tracers[usize::from(matches!(backend, Backend::Gpu(_)))];
         let tracer = build_once(tracer, || Ok((Arc::clone(scene), backend.tracer(scene)?)));
-        tracer.as_ref().map_err(|error| match error {
-            GpuError::Trace(error) => error.into(),
-            other => TaskError::Failed { reason: other.to_string() },
-        })
+        tracer.as_ref().map_err(gpu_error)
     }
 
     fn build_scene(&self, bvhs: &BvhKeeper, cache: Option<&LocalCache>) -> Scene {
@@ -141,7 +215,28 @@ impl LoadedLevel {
             objects.push(SceneObject { mesh: bvhs.len(), world_from_object: DAffine3::IDENTITY });
             bvhs.push(Arc::new(MeshBvh::build(&plane)));
         }
-        Scene::build(bvhs, &objects)
+        Scene::build(bvhs, &objects).with_foliage(self.build_foliage())
+    }
+
+    /// What rays go through: trees as their faces, shrubs as fog.
+    fn build_foliage(&self) -> Foliage {
+        let mut trees: HashMap<*const Mesh, Option<Arc<CrossingMesh>>> = HashMap::new();
+        let mut objects = Vec::new();
+        for (instance, _) in self.level.instances.iter().zip(&self.is_traced).filter(|(_, traced)| **traced) {
+            let mesh = &self.meshes[instance.mesh as usize];
+            let tree = trees.entry(Arc::as_ptr(mesh)).or_insert_with(|| CrossingMesh::build(mesh).map(Arc::new));
+            let world_from_object = instance.world_from_object;
+            objects.extend(tree.iter().cloned().map(|mesh| FoliageObject::Crossings { mesh, world_from_object }));
+            objects.extend(instance.fog.map(|fog| FoliageObject::Fog { fog, world_from_object }));
+        }
+        Foliage::build(&objects, self.level.sampling.foliage)
+    }
+}
+
+fn gpu_error(error: &GpuError) -> TaskError {
+    match error {
+        GpuError::Trace(error) => error.into(),
+        other => TaskError::Failed { reason: other.to_string() },
     }
 }
 
@@ -172,6 +267,7 @@ pub fn ground_plane(level: &Level) -> Option<Mesh> {
         class: Class::Opaque,
         double_sided: true,
         occludes: true,
+        foliage: None,
         receives: false,
         max_samples_per_face: None,
     };
@@ -236,7 +332,7 @@ mod tests {
     };
     use crate::{ArtefactError, TaskOutput};
     use bytes::Bytes;
-    use kiln_core::{BakeSettings, FaceMoments, MIXED_LANE, TraceTask};
+    use kiln_core::{BakeSettings, FaceMoments, MIXED_LANE, TraceWork};
     use std::collections::BTreeMap;
 
     struct Memory(BTreeMap<Digest, Bytes>);
@@ -271,20 +367,18 @@ mod tests {
     }
 
     /// For each instance that receives, a task over all its faces.
-    fn tasks(level: &Level) -> impl Iterator<Item = TraceTask> {
+    fn tasks(level: &Level) -> impl Iterator<Item = TraceWork> {
         let receivers = level.instances.iter().enumerate().filter(|(_, instance)| instance.receives);
-        receivers.map(|(index, instance)| TraceTask {
-            key: kiln_core::TaskKey(Digest::default()),
-            family: Digest::default(),
+        receivers.map(|(index, instance)| TraceWork {
             instance: index as u32,
+            alone: false,
             first_face: 0,
             face_count: level.meshes[instance.mesh as usize].face_count,
             density_per_m2: 10.0,
-            ray_count: 0,
         })
     }
 
-    fn traced(task: &TraceTask, level: &LoadedLevel, backend: &Backend) -> Result<TaskOutput, TaskError> {
+    fn traced(task: &TraceWork, level: &LoadedLevel, backend: &Backend) -> Result<TaskOutput, TaskError> {
         trace::run(task, level, level.tracer(backend)?, backend.lane())
     }
 

@@ -5,11 +5,16 @@ mod backends;
 mod bvhs;
 mod counted;
 mod export;
+mod fit;
 mod import;
 mod levels;
+mod outputs;
 mod plan;
+mod read;
 mod solve;
 mod trace;
+mod trees;
+mod volume;
 
 pub use backend::Backend;
 pub use backends::Backends;
@@ -18,7 +23,7 @@ pub use levels::{LoadedLevel, SceneTracer, ground_plane};
 
 use crate::{Artefacts, CancelFlag, Executor, Lanes, TaskError, TaskOutput};
 use bvhs::BvhKeeper;
-use kiln_core::{TaskSpec, codec::DecodeError};
+use kiln_core::{TaskSpec, TraceWork, Work, WorkSpec, codec::DecodeError};
 use kiln_trace::TraceError;
 use levels::LevelCache;
 
@@ -44,6 +49,24 @@ impl BakeExecutor {
     pub fn finish(&self) {
         self.bvhs.finish();
     }
+
+    /// Does what traces, in the given lane.
+    fn trace(&self, spec: &WorkSpec, lane: &str, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
+        let level = self.levels.get(spec.level, artefacts)?;
+        let cache = artefacts.local_cache();
+        self.backends.trace(lane, |backend: &Backend| {
+            if let Work::Trace(piece @ TraceWork { alone: true, .. }) = &spec.work {
+                return trace::run_alone(piece, &level, backend);
+            }
+            let tracer = level.tracer_by(backend, &self.bvhs, cache.as_ref())?;
+            match &spec.work {
+                Work::Trace(piece) => trace::run(piece, &level, tracer, backend.lane()),
+                Work::Volume(bricks) => volume::run(bricks, &level, tracer),
+                Work::Read(run) => read::run(run, &spec.inputs, &level, tracer, artefacts),
+                Work::Solve(_) | Work::Fit(_) => Err(TaskError::Failed { reason: "it does not trace".to_owned() }),
+            }
+        })
+    }
 }
 
 impl Executor for BakeExecutor {
@@ -65,19 +88,16 @@ impl Executor for BakeExecutor {
         match spec {
             TaskSpec::Import { source } => import::run(*source, artefacts),
             TaskSpec::Plan(spec) => plan::run(spec, &*self.levels.get(spec.level, artefacts)?),
-            TaskSpec::Trace { level, task } => {
-                let level = self.levels.get(*level, artefacts)?;
-                let cache = artefacts.local_cache();
-                let trace = |backend: &Backend| {
-                    let tracer = level.tracer_by(backend, &self.bvhs, cache.as_ref())?;
-                    trace::run(task, &level, tracer, backend.lane())
-                };
-                let output = self.backends.trace(lane, trace)?;
+            TaskSpec::Work(spec @ WorkSpec { work: Work::Trace(_) | Work::Volume(_) | Work::Read(_), .. }) => {
+                let output = self.trace(spec, lane, artefacts)?;
                 progress(output.rays);
                 Ok(output)
             }
-            TaskSpec::Solve { level, instance, moments } => {
-                solve::run(*instance, moments, &*self.levels.get(*level, artefacts)?, artefacts)
+            TaskSpec::Work(WorkSpec { level, work: Work::Solve(instance), inputs }) => {
+                solve::run(instance, inputs, &*self.levels.get(*level, artefacts)?, artefacts)
+            }
+            TaskSpec::Work(WorkSpec { level, work: Work::Fit(model), inputs }) => {
+                fit::run(model, inputs, &*self.levels.get(*level, artefacts)?, artefacts)
             }
             TaskSpec::Export(spec) => export::run(spec, &*self.levels.get(spec.level, artefacts)?, artefacts),
         }

@@ -1,17 +1,17 @@
 //! Solve: the moments of an instance's pieces to vertex values.
 
-use super::LoadedLevel;
+use super::{LoadedLevel, trees::Model};
 use crate::{Artefacts, TaskError, TaskOutput};
-use kiln_core::{Digest, FaceMoments, codec};
+use kiln_core::{Digest, FaceMoments, SolveWork, codec};
 use kiln_solve::SolveInput;
 
 pub(super) fn run(
-    instance: u32,
+    work: &SolveWork,
     moments: &[Digest],
     level: &LoadedLevel,
     artefacts: &dyn Artefacts,
 ) -> Result<TaskOutput, TaskError> {
-    let (placed, mesh) = level.instance(instance)?;
+    let (placed, mesh) = level.instance(work.instance)?;
     let failed = |reason: String| TaskError::Failed { reason: format!("{}: {reason}", placed.name) };
     let channels = level.level.sampling.kernel.channel_count();
     let mut whole = FaceMoments::new(channels);
@@ -22,8 +22,9 @@ pub(super) fn run(
         }
         whole.append(&piece);
     }
-    let input =
-        SolveInput { mesh, world_from_object: placed.world_from_object, moments: &whole, settings: &level.level.solve };
+    let model = if work.alone { Some(level.trees()?.model_of(placed.mesh)?) } else { None };
+    let world_from_object = model.map_or(placed.world_from_object, Model::place);
+    let input = SolveInput { mesh, world_from_object, moments: &whole, settings: &level.level.solve };
     let solution = kiln_solve::solve(&input).map_err(|error| failed(error.to_string()))?;
     Ok(TaskOutput { result: codec::encode(&solution), attachments: Vec::new(), rays: 0 })
 }

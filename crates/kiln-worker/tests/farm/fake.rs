@@ -3,8 +3,9 @@
 
 use kiln_core::{
     BakeSummary, Baked, Bounds, Digest, DigestBuilder, ExportSpec, FaceMoments, HalfMoments, Kernel, Lane, Level,
-    LevelCounts, MIXED_LANE, Mesh, MeshEntry, PlanSpec, Sampling, Solution, SolveSettings, SolveSummary, SolveTask,
-    SourceManifest, TaskGraph, TaskKey, TaskKind, TaskSpec, TraceSummary, TraceTask, Warning, codec,
+    LevelCounts, MIXED_LANE, Mesh, MeshEntry, Output, PlanSpec, PlannedTask, Sampling, Solution, SolveSettings,
+    SolveSummary, SolveWork, SourceManifest, TaskGraph, TaskKind, TaskSpec, TraceSummary, TraceWork, Warning, Work,
+    codec,
 };
 use kiln_worker::{Artefacts, CancelFlag, Executor, Lanes, TaskError, TaskOutput};
 use std::{
@@ -121,8 +122,11 @@ impl Executor for Fake {
         let mut output = match spec {
             TaskSpec::Import { source } => import(*source, artefacts)?,
             TaskSpec::Plan(spec) => plan(spec, artefacts)?,
-            TaskSpec::Trace { level, task } => trace(*level, task, artefacts)?,
-            TaskSpec::Solve { moments, .. } => solve(moments, artefacts)?,
+            TaskSpec::Work(task) => match &task.work {
+                Work::Trace(piece) => trace(task.level, piece, artefacts)?,
+                Work::Solve(_) => solve(&task.inputs, artefacts)?,
+                other => panic!("the plan has no {other:?}"),
+            },
             TaskSpec::Export(spec) => export(spec, artefacts)?,
         };
         progress(output.rays);
@@ -150,6 +154,7 @@ fn import(source: Digest, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskE
         face_count: 1,
         duplicate_faces: 0,
         bounds: Bounds::EMPTY,
+        center: glam::DVec3::ZERO,
         source_mesh: 0,
         blocks: Vec::new(),
     };
@@ -182,6 +187,7 @@ fn sampling(seed: u64) -> Sampling {
         max_samples_per_face: 2,
         back_face_limit: 0.25,
         seed,
+        foliage: kiln_core::FoliageMode::default(),
         ground_plane_y_m: None,
         no_skip: std::collections::BTreeSet::new(),
     }
@@ -191,48 +197,45 @@ fn level(digest: Digest, artefacts: &dyn Artefacts) -> Result<Level, TaskError> 
     Ok(codec::decode("a level", &artefacts.get(digest)?)?)
 }
 
-fn key(kind: &str, salt: &str, lane: &Lane, index: usize) -> TaskKey {
+fn family(kind: &str, salt: &str, lane: &Lane, index: usize) -> Digest {
     let index = index as u64;
-    TaskKey(DigestBuilder::new(kind).text(salt).text(&lane.trace).text(&lane.solve).integer(index).finish())
+    DigestBuilder::new(kind).text(salt).text(&lane.trace).text(&lane.solve).integer(index).finish()
 }
 
 fn plan(spec: &PlanSpec, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
     let level = level(spec.level, artefacts)?;
     let words: Vec<&str> = level.meshes[0].name.split(' ').collect();
     let (instances, pieces): (u32, u32) = (words[0].parse().unwrap(), words[1].parse().unwrap());
-    let (mut trace, mut solve) = (Vec::new(), Vec::new());
+    let mut graph = TaskGraph::new(spec.level, &level);
+    graph.surroundings.push(Digest::of(words[2].as_bytes()));
     for instance in 0..instances {
-        let first_trace = trace.len() as u32;
-        for piece in 0..pieces {
-            let key = key("trace", words[2], &spec.lane, trace.len());
-            trace.push(TraceTask {
-                key,
-                family: key.0,
-                instance,
-                first_face: piece,
-                face_count: 1,
-                density_per_m2: 1.0,
-                ray_count: 100,
-            });
+        let first = graph.tasks.len() as u32;
+        for first_face in 0..pieces {
+            let family = family("trace", words[2], &spec.lane, graph.tasks.len());
+            // Results follow from the bake's lane, as those of a real tracer do.
+            let density_per_m2 = f64::from(family.0[0]) + 1.0;
+            let piece = TraceWork { instance, first_face, face_count: 1, density_per_m2, alone: false };
+            let task = PlannedTask::new(Work::Trace(piece), family, 100);
+            graph.add(PlannedTask { surroundings: Some(0), ..task }, []);
         }
-        let family = key("solve", words[2], &spec.lane, instance as usize).0;
-        solve.push(SolveTask { family, instance, first_trace, trace_count: pieces, vertex_count: VERTICES });
+        let family = family("solve", words[2], &spec.lane, instance as usize);
+        let solve = Work::Solve(SolveWork { instance, vertex_count: VERTICES, alone: false });
+        let output = Some(Output::Solution { instance });
+        graph
+            .add(PlannedTask { output, ..PlannedTask::new(solve, family, u64::from(VERTICES)) }, first..first + pieces);
     }
-    let graph = TaskGraph {
-        level: spec.level,
-        trace,
-        solve,
-        sampling: level.sampling,
-        counts: level.counts,
-        warnings: level.warnings,
-    };
     Ok(TaskOutput { result: codec::encode(&graph), ..TaskOutput::default() })
 }
 
-fn trace(digest: Digest, task: &TraceTask, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
+fn trace(digest: Digest, piece: &TraceWork, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
     let level = level(digest, artefacts)?;
     artefacts.get(level.meshes[0].digest)?;
-    let value = f64::from(task.key.0.0[0]) / 255.0;
+    let mut key = DigestBuilder::new("piece");
+    key.text(&level.meshes[0].name)
+        .integer(u64::from(piece.instance))
+        .integer(u64::from(piece.first_face))
+        .float(piece.density_per_m2);
+    let value = f64::from(key.finish().0[0]) / 255.0;
     let mut half = HalfMoments::default();
     half.add([0.25, 0.25, 0.5], &[value, value]);
     let mut moments = FaceMoments::new(2);
@@ -255,9 +258,10 @@ fn solve(moments: &[Digest], artefacts: &dyn Artefacts) -> Result<TaskOutput, Ta
 
 fn export(spec: &ExportSpec, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskError> {
     let level = level(spec.level, artefacts)?;
-    let list: Vec<(u32, Digest)> = codec::decode("a list of solutions", &artefacts.get(spec.solutions)?)?;
+    let list: Vec<(Output, Digest)> = codec::decode("a list of outputs", &artefacts.get(spec.outputs)?)?;
     let mut file = b"baked:".to_vec();
-    for (instance, solution) in list {
+    for (output, solution) in list {
+        let Output::Solution { instance } = output else { panic!("the plan has no {output:?}") };
         let solution: Solution = codec::decode("a solution", &artefacts.get(solution)?)?;
         file.extend(instance.to_le_bytes());
         solution.values.iter().for_each(|value| file.extend(value.to_le_bytes()));
@@ -271,6 +275,7 @@ fn export(spec: &ExportSpec, artefacts: &dyn Artefacts) -> Result<TaskOutput, Ta
         beyond_reach: kiln_core::BeyondReach::default(),
         error: Vec::new(),
         meshes: Vec::new(),
+        foliage: kiln_core::FoliageSummary::default(),
         warnings: level.warnings,
     };
     let baked = Baked { file: Digest::of(&file), bytes: file.len() as u64, summary };

@@ -38,7 +38,7 @@ async fn a_mixed_bake_is_traced_in_every_lane_under_keys_of_its_own() {
     // A bake in one lane takes none of its results.
     let alone = farm.bake("4 8 salt").await;
     assert_eq!(alone.lane.as_ref().unwrap().trace, CARD);
-    assert_ne!(farm.file(&alone).await, farm.file(&mixed).await, "the fake's results follow from their keys");
+    assert_ne!(farm.file(&alone).await, farm.file(&mixed).await, "the fake's results follow from the bake's lane");
     assert_eq!(stage(&alone, TaskKind::Trace), (32, 32, 0));
     // Another mixed one takes them all.
     let again = farm.submit_mixed("again", "4 8 salt").await;

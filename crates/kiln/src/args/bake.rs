@@ -3,8 +3,8 @@
 use crate::failure::Failure;
 use clap::{Args, ValueEnum};
 use kiln_core::{
-    Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, MAX_CHANNELS, OutputSettings, Quality, Remap, SkipRule,
-    ValueFormat,
+    Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, FoliageMode, MAX_CHANNELS, OutputSettings, Quality,
+    Remap, SkipRule, ValueFormat,
 };
 use std::{collections::BTreeSet, path::PathBuf};
 
@@ -75,6 +75,9 @@ pub(crate) struct SettingsArgs {
     /// Weight of the edge regulariser
     #[arg(long, value_name = "ALPHA", default_value_t = DEFAULT_REGULARIZATION)]
     pub(crate) regularization: f64,
+    /// What trees and shrubs do to rays
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) foliage: FoliageChoice,
     /// Add a plane under the level that occludes
     #[arg(long)]
     pub(crate) ground_plane: bool,
@@ -153,6 +156,27 @@ pub(crate) enum KernelChoice {
     Obscurance,
     /// 0 for a hit, 1 for none.
     Occlusion,
+}
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub(crate) enum FoliageChoice {
+    /// A ray ends where it is absorbed, with that probability: foliage far beyond the half-distance is forgotten.
+    #[default]
+    Expected,
+    /// A ray's value is multiplied by what is kept on its way.
+    Attenuate,
+    /// Foliage is opaque geometry.
+    Geometry,
+}
+
+impl From<FoliageChoice> for FoliageMode {
+    fn from(choice: FoliageChoice) -> Self {
+        match choice {
+            FoliageChoice::Expected => Self::Expected,
+            FoliageChoice::Attenuate => Self::Attenuate,
+            FoliageChoice::Geometry => Self::Geometry,
+        }
+    }
 }
 
 #[derive(Clone, Copy, Debug, Default, ValueEnum)]
@@ -258,6 +282,7 @@ impl SettingsArgs {
             max_samples_per_face: self.max_samples_per_face,
             back_face_limit: self.back_face_limit,
             regularization: self.regularization,
+            foliage: self.foliage.into(),
             ground_plane: self.ground_plane,
             drop_bad_faces: self.drop_bad_faces,
             only: self.only.clone(),

@@ -1,6 +1,6 @@
 //! Options of the commands that look at levels and results.
 
-use super::bake::{HalfDistances, SettingsArgs};
+use super::bake::{FoliageChoice, HalfDistances, SettingsArgs};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
@@ -51,6 +51,9 @@ pub(crate) struct ProbeArgs {
     /// Half-distances in metres, or `auto`
     #[arg(long, value_name = "D1,D2…", default_value = "auto")]
     pub(crate) half_distance: HalfDistances,
+    /// What trees and shrubs do to rays
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) foliage: FoliageChoice,
     /// The sidecar [default: LEVEL.kiln.toml beside the level]
     #[arg(long = "level", value_name = "SIDE.toml")]
     pub(crate) sidecar: Option<PathBuf>,

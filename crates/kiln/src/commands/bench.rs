@@ -5,14 +5,13 @@ use crate::{
     failure::Failure,
 };
 use kiln_bench::BenchError;
-use kiln_worker::tasks::Backend;
 
 pub(crate) fn run(args: &BenchArgs, common: &Common) -> Result<(), Failure> {
     super::use_threads(common)?;
     // Measurements are of the CPU unless a graphics card is asked for: `auto` would make them differ by machine.
     let backend = match common.backend {
-        BackendChoice::Gpu => super::choose_backend(BackendChoice::Gpu)?,
-        BackendChoice::Auto | BackendChoice::Cpu => Backend::Cpu,
+        BackendChoice::Gpu => super::choose_backend(common)?,
+        BackendChoice::Auto | BackendChoice::Cpu => super::on_processor(common)?,
         BackendChoice::Mixed => {
             let message = "one backend is measured at a time; use --backend cpu or --backend gpu";
             return Err(Failure::new(crate::failure::USAGE, message));

@@ -31,7 +31,8 @@ pub(crate) fn run(args: &ProbeArgs, common: &Common) -> Result<(), Failure> {
     super::use_threads(common)?;
     let points = read_points(&args.points)?;
     let source = Source::read(&args.level, args.sidecar.as_deref())?;
-    let settings = BakeSettings { half_distances_m: args.half_distance.0.clone(), ..BakeSettings::default() };
+    let half_distances_m = args.half_distance.0.clone();
+    let settings = BakeSettings { half_distances_m, foliage: args.foliage.into(), ..BakeSettings::default() };
     let import = kiln_scene::import(source.name(), &source, source.sidecar(), &settings).map_err(Failure::refused)?;
     let decode = |blob: &kiln_scene::MeshBlob| Ok((blob.digest, Arc::new(codec::decode("a mesh", &blob.bytes)?)));
     let by_digest: std::collections::BTreeMap<Digest, _> =
@@ -39,7 +40,7 @@ pub(crate) fn run(args: &ProbeArgs, common: &Common) -> Result<(), Failure> {
     let meshes = import.level.meshes.iter().filter_map(|mesh| by_digest.get(&mesh.digest).cloned()).collect();
     let level = LoadedLevel::new(Digest::default(), import.level, meshes).map_err(anyhow::Error::from)?;
 
-    let backend = super::choose_backend(common.backend)?;
+    let backend = super::choose_backend(common)?;
     let (_, tracer) = level.tracer(&backend).map_err(anyhow::Error::from)?;
     let origin = level.level.origin_m;
     let relative: Vec<ProbePoint> = points

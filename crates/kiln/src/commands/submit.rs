@@ -2,7 +2,7 @@
 
 use crate::{
     args::{BackendChoice, Common, SubmitArgs},
-    failure::Failure,
+    failure::{Failure, USAGE},
     progress::client_failure,
     source::Source,
 };
@@ -10,6 +10,10 @@ use kiln_proto::{Submission, v1};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 pub(crate) fn run(args: &SubmitArgs, common: &Common) -> Result<(), Failure> {
+    if common.ray_queries {
+        let message = "a farm's workers say whether they use ray queries: start them by kiln worker --ray-queries";
+        return Err(Failure::new(USAGE, message));
+    }
     super::runtime()?.block_on(submit(args, common))
 }
 

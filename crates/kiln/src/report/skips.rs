@@ -51,6 +51,7 @@ mod tests {
                 max_samples_per_face: 64,
                 back_face_limit: 0.25,
                 seed: 0,
+                foliage: kiln_core::FoliageMode::default(),
                 ground_plane_y_m: None,
                 no_skip: BTreeSet::new(),
             },
@@ -59,6 +60,7 @@ mod tests {
             beyond_reach: BeyondReach { instances: 3, faces: 30, rays_cut: 400 },
             error: Vec::new(),
             meshes: Vec::new(),
+            foliage: kiln_core::FoliageSummary::default(),
             warnings: Vec::new(),
         }
     }

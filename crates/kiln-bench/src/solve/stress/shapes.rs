@@ -11,6 +11,7 @@ pub(super) fn mesh(positions: Vec<[f32; 3]>, faces: Vec<[u32; 3]>) -> Mesh {
         class: Class::Opaque,
         double_sided: false,
         occludes: true,
+        foliage: None,
         receives: true,
         max_samples_per_face: None,
     };

@@ -1,0 +1,89 @@
+//! What a bake did and how well: the part of a report that the result alone decides.
+
+use crate::{Digest, ErrorEstimate, LevelCounts, Sampling, SolveSummary, TraceSummary, Warning};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+
+/// What an export task gives.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Baked {
+    /// Digest of the baked .glb.
+    pub file: Digest,
+    /// Its size.
+    pub bytes: u64,
+    /// What the bake did and how well.
+    pub summary: BakeSummary,
+}
+
+/// The part of the report that depends on the result alone, not on when and where it was computed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BakeSummary {
+    /// Digest of the level.
+    pub level: Digest,
+    /// Totals of the level.
+    pub counts: LevelCounts,
+    /// How samples were made.
+    pub sampling: Sampling,
+    /// Totals of tracing.
+    pub trace: TraceSummary,
+    /// The lanes that traced it.
+    pub trace_lanes: BTreeSet<String>,
+    /// What the reach of rays left out.
+    pub beyond_reach: BeyondReach,
+    /// Estimated error over the level for each channel.
+    pub error: Vec<ErrorEstimate>,
+    /// What happened in each instance that has values of its own.
+    pub meshes: Vec<MeshSummary>,
+    /// What happened to foliage.
+    pub foliage: FoliageSummary,
+    /// Import's and export's warnings.
+    pub warnings: Vec<Warning>,
+}
+
+/// What became of trees, shrubs and decorators.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Default)]
+pub struct FoliageSummary {
+    /// Models of trees.
+    pub models: Vec<ModelSummary>,
+    /// Voxels around them that were traced.
+    pub voxels: u64,
+    /// Shrubs and decorators with one number.
+    pub scalars: u64,
+    /// Of these, those around which nothing has values: they are open.
+    pub open_scalars: u64,
+}
+
+/// One model of trees.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ModelSummary {
+    /// Name of the mesh.
+    pub mesh: String,
+    /// Its instances that have numbers.
+    pub instances: u64,
+    /// Errors against the volume around them, for each channel.
+    pub errors: Vec<crate::TreeErrors>,
+}
+
+/// What lies beyond the reach of rays.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Default)]
+pub struct BeyondReach {
+    /// Instances that no receiving instance's rays can come to: they are neither loaded nor traced.
+    pub instances: u64,
+    /// Their faces.
+    pub faces: u64,
+    /// Rays that end at their reach although something lies beyond: of samples whose reach does not cover the level.
+    pub rays_cut: u64,
+}
+
+/// What happened in one instance.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MeshSummary {
+    /// Name of the node.
+    pub node: String,
+    /// Name of the mesh.
+    pub mesh: String,
+    /// How it was solved, and its samples.
+    pub solve: SolveSummary,
+    /// Centres in world space, metres, of the faces that [`crate::CoarseFaces::worst`] lists.
+    pub coarse_centers_m: Vec<[f64; 3]>,
+}

@@ -1,0 +1,304 @@
+//! What the tasks of a graph do: one variant of [`Work`] for each kind.
+//!
+//! A new kind is a variant here and in [`TaskKind`]; the compiler then asks for its lane, its inputs, the check of its
+//! result, its message in `kiln-proto` and its arm in `kiln-worker`. Whoever plans, leases, stores or skips tasks
+//! treats all kinds alike.
+
+use crate::{FaceMoments, InstanceNumbers, MomentsError, Solution, TaskKind, TraceSummary, codec};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+
+/// What a task of a graph does, with all that a worker needs besides the level and the results of other tasks.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Work {
+    /// Gives encoded [`FaceMoments`]; takes nothing.
+    Trace(TraceWork),
+    /// Gives an encoded [`Solution`]; takes the moments of its instance's pieces, in the order of their faces.
+    Solve(SolveWork),
+    /// Gives an encoded `kiln_bake::volume::VolumeBatch`; takes nothing.
+    Volume(VolumeWork),
+    /// Gives encoded [`TreeFits`]; takes the [`Solution`] of its model alone, then all batches of the volume.
+    Fit(FitWork),
+    /// Gives an encoded `Vec<InstanceNumbers>`; takes the solutions of the instances around.
+    Read(ReadWork),
+}
+
+/// One piece of an instance to be traced: a run of its faces. Its cost is the rays that it will need at most.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TraceWork {
+    /// Index of the instance.
+    pub instance: u32,
+    /// First face of the piece.
+    pub first_face: u32,
+    /// Faces of the piece, at least one.
+    pub face_count: u32,
+    /// Samples per square metre of the instance, finite and not negative.
+    pub density_per_m2: f64,
+    /// It is traced as a model: at the scale of its model, with nothing around it.
+    pub alone: bool,
+}
+
+/// The solve of one instance. Its cost is its vertices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SolveWork {
+    /// Index of the instance.
+    pub instance: u32,
+    /// Vertices of its mesh.
+    pub vertex_count: u32,
+    /// Its pieces were traced as a model's.
+    pub alone: bool,
+}
+
+/// Rays of each voxel of the volume around trees (Sloan et al. 2013, section 4).
+pub const RAYS_PER_VOXEL: u32 = 1024;
+
+/// Some bricks of the volume around a level's trees. Its cost is the rays of their voxels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct VolumeWork {
+    /// Index of the first brick in the level's layout.
+    pub first_brick: u32,
+    /// Bricks, at least one.
+    pub brick_count: u32,
+}
+
+/// The fit of all instances of one model of trees. Its cost is their vertices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FitWork {
+    /// Index of the model's mesh in the level.
+    pub mesh: u32,
+    /// Vertices of the mesh.
+    pub vertex_count: u32,
+    /// Its instances that receive.
+    pub instance_count: u32,
+}
+
+/// Some shrubs and decorators that get one number each. Its cost is the rays that read what is around them, at most.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ReadWork {
+    /// Index of the first in the level's list of them.
+    pub first: u32,
+    /// How many, at least one.
+    pub count: u32,
+}
+
+/// What an output of a graph is to the export.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Output {
+    /// The [`Solution`] of an instance that receives.
+    Solution {
+        /// Index of the instance.
+        instance: u32,
+    },
+    /// The [`TreeFits`] of a model.
+    Trees {
+        /// Index of its mesh in the level.
+        mesh: u32,
+    },
+    /// Numbers of some shrubs and decorators.
+    Scalars {
+        /// Index of the first in the level's list of them.
+        first: u32,
+        /// How many.
+        count: u32,
+    },
+}
+
+/// A result that a task of its kind cannot have given.
+#[derive(Debug, thiserror::Error)]
+pub enum ResultError {
+    /// It cannot be decoded.
+    #[error(transparent)]
+    Encoding(#[from] codec::DecodeError),
+    /// They are no moments.
+    #[error(transparent)]
+    Moments(#[from] MomentsError),
+    /// It has another size than the task's.
+    #[error(
+        "it has {found} {what} in place of {expected}; the task is of another version of Kiln, or its code is wrong"
+    )]
+    Size {
+        /// What is counted, in the plural.
+        what: &'static str,
+        /// How many there are.
+        found: usize,
+        /// How many there should be.
+        expected: usize,
+    },
+    /// A number is not in [0, 1].
+    #[error("{what} {index} is {number}, which is not in [0, 1]; the solve's code is wrong")]
+    Range {
+        /// What the number is.
+        what: &'static str,
+        /// Its place.
+        index: usize,
+        /// The number.
+        number: f32,
+    },
+}
+
+impl Work {
+    /// The kind of the task.
+    pub const fn kind(&self) -> TaskKind {
+        match self {
+            Self::Trace(_) => TaskKind::Trace,
+            Self::Solve(_) => TaskKind::Solve,
+            Self::Volume(_) => TaskKind::Volume,
+            Self::Fit(_) => TaskKind::Fit,
+            Self::Read(_) => TaskKind::Read,
+        }
+    }
+
+    /// Whether the result of a task that does `input` may be an input of this one.
+    pub fn takes(&self, input: &Self) -> bool {
+        match (self, input) {
+            (Self::Solve(solve), Self::Trace(piece)) => (piece.instance, piece.alone) == (solve.instance, solve.alone),
+            (Self::Fit(_), Self::Solve(solve)) => solve.alone,
+            (Self::Fit(_), Self::Volume(_)) => true,
+            (Self::Read(_), Self::Solve(solve)) => !solve.alone,
+            (Self::Trace(_) | Self::Solve(_) | Self::Volume(_) | Self::Fit(_) | Self::Read(_), _) => false,
+        }
+    }
+
+    /// Checks bytes that are said to be the result, in a bake of so many channels: they can be read, have the right size,
+    /// and their numbers make sense. The result of a task of a graph is one artefact, which names no others.
+    pub fn check_result(&self, channels: usize, bytes: &[u8]) -> Result<(), ResultError> {
+        match self {
+            Self::Trace(piece) => {
+                let moments = FaceMoments::from_bytes(bytes)?;
+                check_size("faces", moments.face_count(), piece.face_count as usize)?;
+                check_size("channels", moments.channel_count(), channels)
+            }
+            Self::Solve(solve) => check_solution(solve.vertex_count as usize, channels, bytes),
+            // Its own crate checks all of it when it is read.
+            Self::Volume(_) => check_size("empty results", usize::from(bytes.is_empty()), 0),
+            Self::Fit(fit) => codec::decode::<TreeFits>("fits of trees", bytes)?.check(fit, channels),
+            Self::Read(read) => {
+                let numbers: Vec<InstanceNumbers> = codec::decode("numbers of instances", bytes)?;
+                check_size("numbers", numbers.len(), read.count as usize)?;
+                numbers.iter().try_for_each(|numbers| check_numbers(numbers, channels))
+            }
+        }
+    }
+}
+
+/// What the fit of a model's instances gives.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TreeFits {
+    /// Number of channels.
+    pub channels: u32,
+    /// Local AO that all instances share, `vertices × channels`, in [0, 1].
+    pub local: Vec<f32>,
+    /// [`InstanceNumbers::Global`] of each instance that receives, in the level's order.
+    pub numbers: Vec<InstanceNumbers>,
+    /// Errors against the volume for each channel.
+    pub errors: Vec<TreeErrors>,
+    /// Totals of tracing the model alone.
+    pub trace: TraceSummary,
+    /// The lanes that did.
+    pub trace_lanes: BTreeSet<String>,
+    /// Voxels of the whole volume.
+    pub voxels: u64,
+}
+
+/// Errors of a model's instances against the volume, for one channel: roots of weighted means of squares.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TreeErrors {
+    /// The linear function alone.
+    pub global_only: f64,
+    /// It times the local AO of the model alone.
+    pub local_global: f64,
+    /// Both fitted in turn.
+    pub alternated: f64,
+    /// Weight of the samples of all instances.
+    pub weight: f64,
+}
+
+impl TreeFits {
+    fn check(&self, fit: &FitWork, channels: usize) -> Result<(), ResultError> {
+        check_size("channels", self.channels as usize, channels)?;
+        check_size("values", self.local.len(), (fit.vertex_count as usize).saturating_mul(channels))?;
+        check_size("numbers", self.numbers.len(), fit.instance_count as usize)?;
+        check_size("errors", self.errors.len(), channels)?;
+        check_range("value", &self.local)?;
+        self.numbers.iter().try_for_each(|numbers| check_numbers(numbers, channels))
+    }
+}
+
+fn check_numbers(numbers: &InstanceNumbers, channels: usize) -> Result<(), ResultError> {
+    match numbers {
+        InstanceNumbers::Global { channels: all, blend } => {
+            check_size("channels", all.len(), channels)?;
+            let bad = all.iter().chain([blend]).flatten().filter(|y| !y.is_finite()).count();
+            check_size("numbers that are not finite", bad, 0)
+        }
+        InstanceNumbers::Scalar { ao, .. } => {
+            check_size("channels", ao.len(), channels)?;
+            check_range("number", ao)
+        }
+    }
+}
+
+fn check_range(what: &'static str, numbers: &[f32]) -> Result<(), ResultError> {
+    match numbers.iter().position(|number| !(0.0..=1.0).contains(number)) {
+        Some(index) => Err(ResultError::Range { what, index, number: numbers[index] }),
+        None => Ok(()),
+    }
+}
+
+fn check_solution(vertices: usize, channels: usize, bytes: &[u8]) -> Result<(), ResultError> {
+    let solution: Solution = codec::decode("a solution", bytes)?;
+    check_size("channels", solution.channels as usize, channels)?;
+    let all = [("value", "values", &solution.values), ("residual", "residuals", &solution.residuals)];
+    for (what, plural, numbers) in all {
+        check_size(plural, numbers.len(), vertices.saturating_mul(channels))?;
+        check_range(what, numbers)?;
+    }
+    Ok(())
+}
+
+fn check_size(what: &'static str, found: usize, expected: usize) -> Result<(), ResultError> {
+    if found == expected { Ok(()) } else { Err(ResultError::Size { what, found, expected }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{HalfMoments, SolveSummary};
+
+    fn piece(face_count: u32) -> Work {
+        Work::Trace(TraceWork { instance: 0, first_face: 0, face_count, density_per_m2: 1.0, alone: false })
+    }
+
+    #[test]
+    fn moments_have_the_right_size() {
+        let mut moments = FaceMoments::new(2);
+        moments.push(&[HalfMoments::default(); 2]);
+        let bytes = moments.to_bytes();
+        piece(1).check_result(2, &bytes).unwrap();
+        let refused =
+            |faces, channels, bytes: &[u8]| piece(faces).check_result(channels, bytes).unwrap_err().to_string();
+        assert!(refused(2, 2, &bytes).contains("1 faces in place of 2"));
+        assert!(refused(1, 1, &bytes).contains("2 channels in place of 1"));
+        assert!(matches!(piece(1).check_result(2, &bytes[1..]), Err(ResultError::Moments(_))));
+    }
+
+    #[test]
+    fn solutions_are_finite_and_in_range() {
+        let encoded = |values: Vec<f32>, residuals: Vec<f32>| {
+            let summary = SolveSummary::default();
+            codec::encode(&Solution { channels: 1, values, residuals, unsampled: false, summary })
+        };
+        let solve = Work::Solve(SolveWork { instance: 0, vertex_count: 2, alone: false });
+        let refused = |bytes: &[u8]| solve.check_result(1, bytes).unwrap_err().to_string();
+        let good = encoded(vec![0.0, 1.0], vec![0.5; 2]);
+        solve.check_result(1, &good).unwrap();
+        assert!(solve.check_result(2, &good).is_err());
+        assert!(refused(&encoded(vec![0.0], vec![0.5; 2])).contains("1 values"));
+        assert!(refused(&encoded(vec![0.0; 2], vec![0.5; 3])).contains("3 residuals"));
+        assert!(matches!(solve.check_result(1, &good[1..]), Err(ResultError::Encoding(_))));
+        for bad in [f32::NAN, f32::INFINITY, -0.1, 1.1] {
+            assert!(refused(&encoded(vec![0.5, bad], vec![0.5; 2])).contains("value 1"), "{bad}");
+            assert!(refused(&encoded(vec![0.5; 2], vec![0.5, bad])).contains("residual 1"), "{bad}");
+        }
+    }
+}

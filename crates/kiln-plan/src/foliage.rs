@@ -1,0 +1,165 @@
+//! Tasks of foliage: local AO of each tree model, the volume around trees, the fits of their instances, and one number for each
+//! shrub and decorator. A level without them has none of these.
+
+use crate::{InstanceSampling, Planner, Reach, Receiver, add_place, pieces, solve_family, trace_family};
+use glam::{DAffine3, DVec3};
+use kiln_core::{
+    Digest, DigestBuilder, FitWork, Output, PlannedTask, ReadWork, SolveWork, TaskKind, TraceWork, VolumeWork, Work,
+};
+
+/// What of a level's foliage needs tasks.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FoliagePlan {
+    /// Models of trees, by their meshes.
+    pub models: Vec<ModelPlan>,
+    /// The volume around trees, batch by batch.
+    pub volume: Vec<VolumePlan>,
+    /// Shrubs and decorators, run by run.
+    pub runs: Vec<RunPlan>,
+}
+
+/// A model of trees.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelPlan {
+    /// Index of its mesh in the level.
+    pub mesh: u32,
+    /// Its instances that receive, ascending, at least one.
+    pub instances: Vec<u32>,
+    /// The scale at which it is baked alone.
+    pub scale: f64,
+    /// How it is sampled then.
+    pub sampling: InstanceSampling,
+}
+
+/// Some bricks of the volume around trees.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VolumePlan {
+    /// Index of the first brick in the level's layout.
+    pub first_brick: u32,
+    /// Bricks, at least one.
+    pub brick_count: u32,
+    /// Voxels that are traced.
+    pub voxel_count: u32,
+    /// Digest of where they are.
+    pub voxels: Digest,
+    /// The instances whose boxes they are needed for: what these come to, the voxels do, but for their spacing, which changes
+    /// a ray's value by less than its reach leaves out.
+    pub trees: Vec<u32>,
+}
+
+/// Shrubs and decorators that are read together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunPlan {
+    /// Index of the first in the level's list of them.
+    pub first: u32,
+    /// The instances, in the order of that list, at least one, all of one group of [`Reach`].
+    pub instances: Vec<u32>,
+    /// Instances with values that may be read, ascending.
+    pub near: Vec<u32>,
+    /// Rays that it will take at most.
+    pub ray_count: u64,
+}
+
+impl Planner<'_> {
+    /// Adds the tasks of foliage; those of the instances with values must be there. `solve_of` names the solve of each.
+    pub(crate) fn add_foliage(&mut self, plan: &FoliagePlan, reach: &Reach, solve_of: &[Option<u32>]) {
+        let locals: Vec<u32> = plan.models.iter().map(|model| self.add_local(model)).collect();
+        let volume: Vec<u32> = plan.volume.iter().map(|batch| self.add_batch(batch, reach)).collect();
+        for (model, local) in plan.models.iter().zip(locals) {
+            self.add_fit(model, local, &volume);
+        }
+        for run in &plan.runs {
+            self.add_run(run, reach, solve_of);
+        }
+    }
+
+    /// A new entry among what can stop rays.
+    fn surround(&mut self, digest: Digest) -> u32 {
+        self.surroundings.push(digest);
+        (self.surroundings.len() - 1) as u32
+    }
+
+    /// The model alone: its pieces and its solve, which is no output.
+    fn add_local(&mut self, model: &ModelPlan) -> u32 {
+        let mesh = &self.level.meshes[model.mesh as usize];
+        let place = DAffine3::from_scale(DVec3::splat(model.scale));
+        let (receiver, instance) = (Receiver { mesh: mesh.digest, place }, model.instances[0]);
+        let mut alone = DigestBuilder::new("kiln alone");
+        alone.digest(&mesh.digest).float(model.scale);
+        let surroundings = Some(self.surround(alone.finish()));
+        let first_piece = self.graph.tasks.len() as u32;
+        let density_per_m2 = model.sampling.density_per_m2;
+        for (faces, samples) in pieces(mesh.face_count).zip(&model.sampling.piece_samples) {
+            let family = trace_family(&receiver, &faces, density_per_m2, self.level, self.lane);
+            let (first_face, face_count) = (faces.start, faces.len() as u32);
+            let work = TraceWork { instance, first_face, face_count, density_per_m2, alone: true };
+            let rays = samples * u64::from(self.level.sampling.rays_per_sample);
+            let task = PlannedTask::new(Work::Trace(work), family, rays);
+            self.graph.add(PlannedTask { surroundings, ..task }, []);
+        }
+        let work = Work::Solve(SolveWork { instance, vertex_count: mesh.vertex_count, alone: true });
+        let family = solve_family(&receiver, self.level, self.lane);
+        let all_pieces = first_piece..self.graph.tasks.len() as u32;
+        self.graph.add(PlannedTask::new(work, family, u64::from(mesh.vertex_count)), all_pieces)
+    }
+
+    fn add_batch(&mut self, batch: &VolumePlan, reach: &Reach) -> u32 {
+        let mut groups: Vec<usize> = batch.trees.iter().filter_map(|tree| reach.group(*tree as usize)).collect();
+        groups.sort_unstable();
+        groups.dedup();
+        let mut root = DigestBuilder::new("kiln volume surroundings");
+        groups.iter().filter_map(|group| self.surroundings.get(*group)).for_each(|digest| {
+            root.digest(digest);
+        });
+        let surroundings = Some(self.surround(root.finish()));
+        let s = &self.level.sampling;
+        let mut family = DigestBuilder::new("kiln volume family");
+        family.integer(u64::from(TaskKind::Volume.kernel_rev())).text(&self.lane.trace).digest(&batch.voxels);
+        family.value(&s.kernel).float(s.back_face_limit).integer(s.seed).value(&s.foliage).value(&s.no_skip);
+        let work = Work::Volume(VolumeWork { first_brick: batch.first_brick, brick_count: batch.brick_count });
+        let rays = u64::from(batch.voxel_count) * u64::from(kiln_core::RAYS_PER_VOXEL);
+        let task = PlannedTask::new(work, family.finish(), rays);
+        self.graph.add(PlannedTask { surroundings, ..task }, [])
+    }
+
+    fn add_fit(&mut self, model: &ModelPlan, local: u32, volume: &[u32]) {
+        let mesh = &self.level.meshes[model.mesh as usize];
+        let mut family = DigestBuilder::new("kiln fit family");
+        family.integer(u64::from(TaskKind::Fit.kernel_rev())).text(&self.lane.solve).digest(&mesh.digest);
+        for instance in &model.instances {
+            add_place(&mut family, &self.level.instances[*instance as usize].world_from_object);
+        }
+        let s = &self.level.sampling;
+        family.integer(s.seed).integer(s.kernel.channel_count() as u64).value(&self.level.solve);
+        family.value(&self.level.output.blend);
+        let instances = model.instances.len() as u32;
+        let work = FitWork { mesh: model.mesh, vertex_count: mesh.vertex_count, instance_count: instances };
+        let cost = u64::from(instances) * u64::from(mesh.vertex_count);
+        let output = Some(Output::Trees { mesh: model.mesh });
+        let task = PlannedTask { output, ..PlannedTask::new(Work::Fit(work), family.finish(), cost) };
+        self.graph.add(task, std::iter::once(local).chain(volume.iter().copied()));
+    }
+
+    fn add_run(&mut self, run: &RunPlan, reach: &Reach, solve_of: &[Option<u32>]) {
+        let mut family = DigestBuilder::new("kiln read family");
+        family.integer(u64::from(TaskKind::Read.kernel_rev())).text(&self.lane.trace);
+        for instance in &run.instances {
+            let instance = &self.level.instances[*instance as usize];
+            family.value(&self.level.meshes[instance.mesh as usize].bounds);
+            add_place(&mut family, &instance.world_from_object);
+        }
+        for near in &run.near {
+            let instance = &self.level.instances[*near as usize];
+            family.digest(&self.level.meshes[instance.mesh as usize].digest);
+            add_place(&mut family, &instance.world_from_object);
+        }
+        family.integer(self.level.sampling.seed).integer(self.level.sampling.kernel.channel_count() as u64);
+        let group = run.instances.first().and_then(|instance| reach.group(*instance as usize));
+        let surroundings = Some(group.unwrap_or(0) as u32);
+        let (first, count) = (run.first, run.instances.len() as u32);
+        let task = PlannedTask::new(Work::Read(ReadWork { first, count }), family.finish(), run.ray_count);
+        let output = Some(Output::Scalars { first, count });
+        let inputs = run.near.iter().filter_map(|near| solve_of.get(*near as usize).copied().flatten());
+        self.graph.add(PlannedTask { surroundings, output, ..task }, inputs);
+    }
+}

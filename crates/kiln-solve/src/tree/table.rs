@@ -1,0 +1,63 @@
+//! Figure 2 of Sloan et al. 2013 as numbers: the linear function alone, local AO times it, and both optimised.
+
+use super::{
+    alternate::{Alternated, TreeInstance, TreeModel, content_order},
+    error::{TreeError, check_length},
+    fit::{TreeFit, rmse},
+    instance::{fit_global, fit_instance},
+};
+use rayon::prelude::*;
+
+/// Errors of one channel against the given signal, over all instances: roots of weighted means of squares.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ChannelErrors {
+    /// G alone, L = 1.
+    pub global_only: f64,
+    /// The model's own L times G.
+    pub local_global: f64,
+    /// L and G alternated.
+    pub alternated: f64,
+    /// The weight of the valid samples of all instances.
+    pub weight: f64,
+}
+
+/// Compares the three models with the instances' signals, for each channel. `alternated` is that of the same model and
+/// instances. Sums are in the order of the instances' keys.
+///
+/// # Errors
+/// If the parts do not fit together.
+pub fn error_table(
+    model: &TreeModel<'_>,
+    instances: &[TreeInstance<'_>],
+    alternated: &Alternated,
+) -> Result<Vec<ChannelErrors>, TreeError> {
+    model.check(instances)?;
+    let (samples, channels) = (model.samples, model.channels);
+    check_length("alternated fits", alternated.fits.len(), instances.len() * channels)?;
+    let local = samples.local(model.local, channels)?;
+    let order = content_order(instances);
+    let signals: Vec<_> = order.iter().map(|j| instances[*j].values).collect();
+    let global_only = each(&signals, |values| fit_global(samples, channels, values))?;
+    let local_global = each(&signals, |values| fit_instance(samples, &local, values))?;
+    let ordered: Vec<_> = order.iter().map(|j| alternated.fits[j * channels..][..channels].to_vec()).collect();
+    let errors = |channel: usize| ChannelErrors {
+        global_only: total_rmse(&global_only, channel),
+        local_global: total_rmse(&local_global, channel),
+        alternated: total_rmse(&ordered, channel),
+        weight: ordered.iter().map(|fits| fits[channel].weight).sum(),
+    };
+    Ok((0..channels).map(errors).collect())
+}
+
+/// The fits of all signals.
+fn each(
+    signals: &[&[f32]],
+    fit: impl Fn(&[f32]) -> Result<Vec<TreeFit>, TreeError> + Sync,
+) -> Result<Vec<Vec<TreeFit>>, TreeError> {
+    signals.par_iter().map(|values| fit(values)).collect()
+}
+
+fn total_rmse(fits: &[Vec<TreeFit>], channel: usize) -> f64 {
+    let sum = |part: fn(&TreeFit) -> f64| fits.iter().map(|fits| part(&fits[channel])).sum::<f64>();
+    rmse(sum(|fit| fit.squared_error), sum(|fit| fit.weight))
+}

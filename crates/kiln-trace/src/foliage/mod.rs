@@ -1,0 +1,178 @@
+//! Trees and shrubs: what rays lose on their way, without being stopped.
+//!
+//! A scene has a second tree, over boxes of fog (shrubs) and meshes whose faces keep a part of the visibility each time they
+//! are crossed (trees). Once the closest hit of a ray is known, all that lies before it counts, not the closest alone (Sloan
+//! et al. 2013, section 2.1). [`FoliageMode`] says what the ray is worth then:
+//!
+//! - `Attenuate`, the paper's: its value times what is kept on the whole way. Depths are integers, which add up in any order.
+//! - `Expected`: it ends wherever it is absorbed, with that probability. With the kernel ρ and the visibility T up to a
+//!   distance the expected value is `∫ ρ′ T` up to the closest hit, and what is beyond the reach of a ray that hits nothing
+//!   ([`through`]).
+//!
+//! How far a ray goes through fog is measured in world space: a ray's parameter is the same in all spaces, and its direction
+//! is of unit length.
+
+mod cross;
+mod through;
+
+pub(crate) use cross::{CrossBundle, FoliageMemory};
+pub(crate) use through::Lost;
+
+use crate::{
+    BvhLink, MeshBvh, SceneObject,
+    boxed::Boxed,
+    build::build,
+    node::WideNode,
+    scene::{SceneInstance, instance, world_box},
+    triangle::face_of,
+};
+use glam::{DAffine3, Vec3};
+use kiln_core::{Bounds, Fog, Foliage as FaceFoliage, FoliageMode, Mesh};
+use std::sync::Arc;
+
+/// The faces of a mesh that keep a part of the visibility.
+#[derive(Debug)]
+pub struct CrossingMesh {
+    pub(crate) bvh: MeshBvh,
+    /// Depth of each face of the mesh, [`kiln_core::OpticalDepth`].
+    depths: Box<[u32]>,
+}
+
+impl CrossingMesh {
+    /// Of a mesh; `None` if it has no such face.
+    pub fn build(mesh: &Mesh) -> Option<Self> {
+        let depth = |foliage: Option<FaceFoliage>| match foliage {
+            Some(FaceFoliage::Crossing(depth)) => Some(depth.0),
+            _ => None,
+        };
+        if !mesh.groups.iter().any(|group| depth(group.foliage).is_some()) {
+            return None;
+        }
+        let bvh = MeshBvh::build_over(mesh, |group| depth(group.foliage).is_some());
+        let depths = (0..mesh.faces.len()).map(|face| depth(mesh.group(face).foliage).unwrap_or(0)).collect();
+        Some(Self { bvh, depths })
+    }
+
+    /// Memory of nodes, triangles and depths, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        self.bvh.memory_bytes() + size_of_val(&*self.depths)
+    }
+
+    #[inline(always)]
+    pub(crate) fn depth(&self, primitive: u32) -> u32 {
+        self.depths[face_of(primitive) as usize]
+    }
+}
+
+/// Something in a level that rays go through.
+#[derive(Clone, Debug)]
+pub enum FoliageObject {
+    /// A tree.
+    Crossings {
+        /// Its faces.
+        mesh: Arc<CrossingMesh>,
+        /// From object space to metres relative to the level's origin.
+        world_from_object: DAffine3,
+    },
+    /// A shrub.
+    Fog {
+        /// Box and density.
+        fog: Fog,
+        /// From object space to metres relative to the level's origin.
+        world_from_object: DAffine3,
+    },
+}
+
+/// What rays go through, and the tree over it.
+#[derive(Debug)]
+pub struct Foliage {
+    pub(crate) mode: FoliageMode,
+    pub(crate) nodes: Vec<WideNode>,
+    pub(crate) objects: Vec<Placed>,
+}
+
+/// An object as rays see it.
+#[derive(Debug)]
+pub(crate) struct Placed {
+    pub(crate) place: SceneInstance,
+    pub(crate) what: What,
+}
+
+#[derive(Debug)]
+pub(crate) enum What {
+    Crossings(Arc<CrossingMesh>),
+    Fog { min: Vec3, max: Vec3, rate: i64 },
+}
+
+/// Units of rates of fog: binary logarithms of what is kept, for each metre, times 2²⁴. Whole numbers, so that what is
+/// added where a ray comes in is taken away where it goes out.
+pub(crate) const RATE_UNITS: f64 = 16_777_216.0;
+
+/// Above this nothing is left after a tenth of a millimetre.
+const MOST_RATE: f64 = 1e5;
+
+impl Foliage {
+    /// Places objects. Those whose transform flattens them, boxes without volume and fog without density are left out. In mode
+    /// [`FoliageMode::Geometry`] there are none, since the faces themselves stop rays.
+    pub fn build(objects: &[FoliageObject], mode: FoliageMode) -> Self {
+        let placed: Vec<(Placed, Vec3, Vec3)> = objects.iter().filter_map(placed).collect();
+        let boxed = |(index, (_, min, max)): (usize, &(Placed, Vec3, Vec3))| Boxed::new(index as u32, *min, *max);
+        let tree = build(placed.iter().enumerate().map(boxed).collect(), 1);
+        let mut nodes = tree.nodes;
+        for reference in nodes.iter_mut().flat_map(|node| &mut node.children).filter(|child| **child != u32::MAX) {
+            if let BvhLink::Leaf { first, count } = BvhLink::of_reference(*reference) {
+                *reference = BvhLink::Leaf { first: tree.order[first as usize], count }.to_reference();
+            }
+        }
+        Self { mode, nodes, objects: placed.into_iter().map(|(placed, ..)| placed).collect() }
+    }
+
+    /// Whether there is nothing to go through.
+    pub fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// Memory of the tree and all objects, each mesh counted once, bytes.
+    pub fn memory_bytes(&self) -> usize {
+        let mut meshes: Vec<*const CrossingMesh> = Vec::new();
+        let mut bytes = size_of_val(self.nodes.as_slice()) + size_of_val(self.objects.as_slice());
+        for mesh in self.objects.iter().filter_map(|object| object.crossings()) {
+            if !meshes.contains(&Arc::as_ptr(mesh)) {
+                meshes.push(Arc::as_ptr(mesh));
+                bytes += mesh.memory_bytes();
+            }
+        }
+        bytes
+    }
+}
+
+impl Placed {
+    fn crossings(&self) -> Option<&Arc<CrossingMesh>> {
+        match &self.what {
+            What::Crossings(mesh) => Some(mesh),
+            What::Fog { .. } => None,
+        }
+    }
+}
+
+/// An object, and the corners of its box in world space.
+fn placed(object: &FoliageObject) -> Option<(Placed, Vec3, Vec3)> {
+    let (what, bounds, world_from_object) = match object {
+        FoliageObject::Crossings { mesh, world_from_object } => {
+            (What::Crossings(Arc::clone(mesh)), mesh.bvh.bounds, world_from_object)
+        }
+        FoliageObject::Fog { fog, world_from_object } => (fog_box(fog)?, fog.bounds, world_from_object),
+    };
+    let (min, max) = world_box(&bounds, world_from_object)?;
+    let place = instance(&SceneObject { mesh: 0, world_from_object: *world_from_object });
+    Some((Placed { place, what }, min, max))
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "rays are f32, and the rate is limited")]
+fn fog_box(fog: &Fog) -> Option<What> {
+    let Bounds { min, max } = fog.bounds;
+    let rate = fog.density_per_m * std::f64::consts::LOG2_E;
+    let is_there = rate > 0.0 && min.cmplt(max).all();
+    let rate = (rate.min(MOST_RATE) * RATE_UNITS).round() as i64;
+    is_there.then(|| What::Fog { min: min.as_vec3(), max: max.as_vec3(), rate })
+}

@@ -1,0 +1,127 @@
+//! Fit: the local AO of a model and the volume around its instances to four numbers for each.
+
+use super::{LoadedLevel, trees};
+use crate::{Artefacts, TaskError, TaskOutput};
+use kiln_bake::{
+    ModelPoint, model_points, values_in_volume,
+    volume::{Volume, VolumeBatch},
+};
+use kiln_core::{Digest, FitWork, InstanceNumbers, Mesh, Solution, TreeErrors, TreeFits, codec};
+use kiln_solve::{
+    AlternateParams, Alternated, ModelSample, ModelSamples, TreeError, TreeInstance, TreeModel, alternate, error_table,
+    fit_blended,
+};
+use rayon::prelude::*;
+
+/// `inputs` are the model's local AO, then all batches of the volume.
+pub(super) fn run(
+    work: &FitWork,
+    inputs: &[Digest],
+    level: &LoadedLevel,
+    artefacts: &dyn Artefacts,
+) -> Result<TaskOutput, TaskError> {
+    let model = level.trees()?.model_of(work.mesh)?;
+    let failed = |reason: String| TaskError::Failed { reason: format!("the model {}: {reason}", work.mesh) };
+    let [local, batches @ ..] = inputs else { return Err(failed("it has no local AO".to_owned())) };
+    let mesh = &level.meshes[work.mesh as usize];
+    let local: Solution = codec::decode("a solution", &artefacts.get(*local)?)?;
+    let volume = level.volume(batches, artefacts)?;
+
+    let points = model_points(mesh, level.level.sampling.seed);
+    let values: Vec<Vec<f32>> = model
+        .instances
+        .par_iter()
+        .map(|index| values_in_volume(&volume, &points, &level.level.instances[*index as usize].world_from_object))
+        .collect();
+    let keys = model.instances.iter().map(|index| trees::key(&level.level.instances[*index as usize]));
+    let instances: Vec<TreeInstance<'_>> =
+        keys.zip(&values).map(|(key, values)| TreeInstance { key, values }).collect();
+    let fit = Fitting { mesh, points: &points, local: &local, level, instances: &instances };
+    let fits = fit.run(&volume).map_err(|error| failed(error.to_string()))?;
+    Ok(TaskOutput { result: codec::encode(&fits), attachments: Vec::new(), rays: 0 })
+}
+
+struct Fitting<'a> {
+    mesh: &'a Mesh,
+    points: &'a [ModelPoint],
+    local: &'a Solution,
+    level: &'a LoadedLevel,
+    instances: &'a [TreeInstance<'a>],
+}
+
+impl Fitting<'_> {
+    fn run(&self, volume: &Volume) -> Result<TreeFits, TreeError> {
+        let settings = &self.level.level.solve;
+        let channels = self.local.channels as usize;
+        let samples = self.samples()?;
+        // A model none of whose samples is valid has nothing of its own.
+        let own = if self.local.unsampled { vec![1.0; self.local.values.len()] } else { self.local.values.clone() };
+        let model = TreeModel { mesh: self.mesh, samples: &samples, local: &own, channels };
+        let params = AlternateParams {
+            regularization: settings.regularization,
+            anchor: settings.anchor,
+            weld_degrees: settings.weld_degrees,
+            ..AlternateParams::default()
+        };
+        let found = alternate(&model, self.instances, &params)?;
+        let errors = error_table(&model, self.instances, &found)?;
+        let blend = self.blend(channels);
+        let local = samples.local(&found.local, channels)?;
+        let numbers = (0..self.instances.len()).into_par_iter().map(|index| {
+            let blended = fit_blended(&samples, &local, self.instances[index].values, &blend)?.y;
+            Ok(InstanceNumbers::Global { channels: of_instance(&found, index), blend: blended })
+        });
+        let numbers = numbers.collect::<Result<_, TreeError>>()?;
+        let error = |of: &kiln_solve::ChannelErrors| TreeErrors {
+            global_only: of.global_only,
+            local_global: of.local_global,
+            alternated: of.alternated,
+            weight: of.weight,
+        };
+        Ok(TreeFits {
+            channels: channels as u32,
+            local: found.local,
+            numbers,
+            errors: errors.iter().map(error).collect(),
+            trace: self.local.summary.trace,
+            trace_lanes: self.local.summary.trace_lanes.clone(),
+            voxels: volume.layout().voxel_count() as u64,
+        })
+    }
+
+    fn samples(&self) -> Result<ModelSamples, TreeError> {
+        let sample = |point: &ModelPoint| ModelSample {
+            face: point.face,
+            phi: point.phi,
+            position: point.position,
+            weight: point.area_m2,
+        };
+        ModelSamples::new(self.mesh, &self.points.iter().map(sample).collect::<Vec<_>>())
+    }
+
+    /// Weight of each channel, 1 in all.
+    fn blend(&self, channels: usize) -> Vec<f64> {
+        let given = self.level.level.output.blend.as_ref().filter(|blend| blend.len() == channels);
+        let weights = given.cloned().unwrap_or_else(|| vec![1.0; channels]);
+        let sum: f64 = weights.iter().sum();
+        weights.iter().map(|weight| weight / sum).collect()
+    }
+}
+
+fn of_instance(found: &Alternated, index: usize) -> Vec<[f32; 4]> {
+    found.fits[index * found.channels..][..found.channels].iter().map(|fit| fit.y).collect()
+}
+
+/// Batches as the volume that they are of.
+pub(super) fn assemble(
+    level: &LoadedLevel,
+    batches: &[Digest],
+    artefacts: &dyn Artefacts,
+) -> Result<Volume, TaskError> {
+    let decode = |bytes: &bytes::Bytes| Ok(codec::decode::<VolumeBatch>("a batch of the volume", bytes)?);
+    let batches: Vec<VolumeBatch> =
+        artefacts.get_many(batches)?.par_iter().map(decode).collect::<Result<_, TaskError>>()?;
+    let channels = level.level.sampling.kernel.channel_count();
+    Volume::assemble(level.trees()?.layout.clone(), channels, &batches)
+        .map_err(|error| TaskError::Failed { reason: format!("the volume around trees: {error}") })
+}

@@ -1,0 +1,104 @@
+//! What an export is given: solutions of instances, fits of trees, and numbers of shrubs and decorators.
+
+use super::{LoadedLevel, out_of_range};
+use crate::{Artefacts, TaskError};
+use kiln_core::{
+    Digest, FoliageSummary, InstanceNumbers, ModelSummary, Output, RAYS_PER_VOXEL, TraceSummary, TreeFits, codec,
+};
+use kiln_scene::{BakedModel, NumberedInstance};
+
+/// The outputs of a task graph, by what they are.
+pub(super) struct Outputs {
+    pub(super) solutions: Vec<(u32, Digest)>,
+    /// By mesh.
+    trees: Vec<(u32, Digest)>,
+    /// By the first of a run, with their number.
+    scalars: Vec<(u32, u32, Digest)>,
+}
+
+impl Outputs {
+    pub(super) fn load(list: Digest, artefacts: &dyn Artefacts) -> Result<Self, TaskError> {
+        let list: Vec<(Output, Digest)> = codec::decode("a list of outputs", &artefacts.get(list)?)?;
+        let mut outputs = Self { solutions: Vec::new(), trees: Vec::new(), scalars: Vec::new() };
+        for (output, digest) in list {
+            match output {
+                Output::Solution { instance } => outputs.solutions.push((instance, digest)),
+                Output::Trees { mesh } => outputs.trees.push((mesh, digest)),
+                Output::Scalars { first, count } => outputs.scalars.push((first, count, digest)),
+            }
+        }
+        Ok(outputs)
+    }
+}
+
+/// What became of a level's foliage.
+pub(super) struct FoliageOutputs {
+    /// Mesh, instances and fits of each model.
+    trees: Vec<(u32, Vec<u32>, TreeFits)>,
+    /// Instance and number of each shrub and decorator.
+    scalars: Vec<(u32, InstanceNumbers)>,
+}
+
+impl FoliageOutputs {
+    pub(super) fn load(outputs: &Outputs, level: &LoadedLevel, artefacts: &dyn Artefacts) -> Result<Self, TaskError> {
+        let mut found = Self { trees: Vec::new(), scalars: Vec::new() };
+        for &(mesh, digest) in &outputs.trees {
+            let fits: TreeFits = codec::decode("fits of trees", &artefacts.get(digest)?)?;
+            let instances = level.trees()?.model_of(mesh)?.instances.clone();
+            if instances.len() != fits.numbers.len() {
+                return Err(out_of_range("tree", fits.numbers.len() as u32));
+            }
+            found.trees.push((mesh, instances, fits));
+        }
+        for &(first, count, digest) in &outputs.scalars {
+            let numbers: Vec<InstanceNumbers> = codec::decode("numbers of instances", &artefacts.get(digest)?)?;
+            let end = first.saturating_add(count);
+            let run = level.trees()?.scalars.get(first as usize..end as usize);
+            let run = run.filter(|run| run.len() == numbers.len());
+            let run = run.ok_or_else(|| out_of_range("shrub or decorator", end))?;
+            found.scalars.extend(run.iter().copied().zip(numbers));
+        }
+        Ok(found)
+    }
+
+    /// Local AO of each model.
+    pub(super) fn models(&self) -> Vec<BakedModel<'_>> {
+        self.trees.iter().map(|(mesh, _, fits)| BakedModel { mesh: *mesh as usize, values: &fits.local }).collect()
+    }
+
+    /// Numbers of all instances that have some.
+    pub(super) fn numbers(&self) -> Vec<NumberedInstance<'_>> {
+        let of_trees = self.trees.iter().flat_map(|(_, instances, fits)| instances.iter().zip(&fits.numbers));
+        let of_scalars = self.scalars.iter().map(|(instance, numbers)| (instance, numbers));
+        let numbered = |(instance, numbers): (&u32, _)| NumberedInstance { instance: *instance as usize, numbers };
+        of_trees.map(numbered).chain(of_scalars.map(numbered)).collect()
+    }
+
+    /// Adds what was traced for foliage.
+    pub(super) fn add_to(&self, trace: &mut TraceSummary) {
+        self.trees.iter().for_each(|(.., fits)| trace.merge(&fits.trace));
+        trace.rays += self.voxels() * u64::from(RAYS_PER_VOXEL);
+        trace.rays += self.scalars.len() as u64 * u64::from(kiln_bake::DecoratorSettings::default().directions);
+    }
+
+    /// All models have the same volume.
+    fn voxels(&self) -> u64 {
+        self.trees.first().map_or(0, |(.., fits)| fits.voxels)
+    }
+
+    pub(super) fn summary(&self, level: &LoadedLevel) -> FoliageSummary {
+        let model = |(mesh, instances, fits): &(u32, Vec<u32>, TreeFits)| ModelSummary {
+            mesh: level.level.meshes[*mesh as usize].name.clone(),
+            instances: instances.len() as u64,
+            errors: fits.errors.clone(),
+        };
+        let is_open =
+            |(_, numbers): &&(u32, InstanceNumbers)| matches!(numbers, InstanceNumbers::Scalar { is_open: true, .. });
+        FoliageSummary {
+            models: self.trees.iter().map(model).collect(),
+            voxels: self.voxels(),
+            scalars: self.scalars.len() as u64,
+            open_scalars: self.scalars.iter().filter(is_open).count() as u64,
+        }
+    }
+}
