@@ -3,15 +3,16 @@
 //! The hardware proposes, our own test decides. Its acceleration structures hold boxes ([`crate::boxes`]), not triangles: one for each run of up to
 //! four triangles that a slot of the software tree has ([`crate::widen`]). For each box that it proposes the shader takes the ray into the
 //! instance's space and tests the triangles, by the code and the data that the software traversal has
-//! (`scene.wgsl`, `triangle.wgsl`). The best hit so far is ours, with the tie rule, and the hardware is told of it only to leave out what lies behind:
+//! (`scene.wgsl`, `triangle.wgsl`). The best hit so far is ours, with the tie rule, and the hardware is told of one only to leave out what lies behind:
 //! by a generated intersection, further away by 2⁻¹⁵ of the distance than it is, since distances that tie differ by up to 2⁻¹⁷.
 //!
 //! So results are those of the software traversal if every box is proposed that holds a triangle which our test says is
 //! hit, up to the distance that was reported. That rests on the margin by which boxes are grown; no vendor promises that it is enough.
 //! It is checked instead: by tests, by `kiln bench rays --ray-queries`, and whenever a device is opened ([`check`]).
 //!
-//! wgpu 30's translation of a generated intersection compares it with a distance that the candidate, a box, does not have, wherever one has been
-//! committed already; a driver may then drop it. Only the culling suffers: what is reported is never the result.
+//! Only the first hit is reported. Wherever one has been committed already, wgpu 30 compares the next with a distance that the candidate,
+//! a box, does not have (naga 30.0.1, `write_ray_query_generate_intersection`), which Vulkan does not define. Only the culling suffers: what is reported is never
+//! the result.
 
 use crate::{GpuDevice, GpuError, GpuTracer};
 use glam::{DAffine3, DQuat, DVec3, Vec3};

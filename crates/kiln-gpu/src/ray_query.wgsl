@@ -42,6 +42,7 @@ fn closest_hit(origin: vec3<f32>, direction: vec3<f32>, t_max: f32) -> ClosestHi
     rayQueryInitialize(&query, boxes, RayDesc(RAY_FLAG_NONE, 0xffu, 0f, reach(t_max, unit), origin, scaled));
     var instance = NO_INSTANCE;
     var object: ObjectRay;
+    var is_reported = false;
     while rayQueryProceed(&query) {
         let candidate = rayQueryGetCandidateIntersection(&query);
         if COUNT_VISITS {
@@ -54,13 +55,14 @@ fn closest_hit(origin: vec3<f32>, direction: vec3<f32>, t_max: f32) -> ClosestHi
                 visits.z++;
             }
         }
-        let before = hit.t;
         hit = visit_box(object, candidate.primitive_index, hit);
         if ANY_HIT && hit.rank != MISS_RANK {
             break;
         }
-        if hit.t < before {
+        // The first only; ray_query.rs says why.
+        if !is_reported && hit.rank != MISS_RANK {
             rayQueryGenerateIntersection(&query, reach(hit.t, unit));
+            is_reported = true;
         }
     }
     return hit;
