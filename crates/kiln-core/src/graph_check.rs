@@ -1,6 +1,6 @@
 //! Whether a task graph makes sense. It comes from a worker, which may be broken or lie.
 
-use crate::{Digest, MAX_INPUTS, Output, PlannedTask, TaskGraph, TaskKind};
+use crate::{Digest, MAX_INPUTS, Output, PlannedTask, TaskGraph, TaskKind, WorkError};
 
 /// A task graph whose parts do not fit together.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
@@ -27,6 +27,16 @@ pub enum GraphProblem {
         what: &'static str,
         /// How many there are.
         found: usize,
+    },
+    /// A task's work cannot be done.
+    #[error("task {task} ({kind:?}): {error}")]
+    BadWork {
+        /// The task.
+        task: u32,
+        /// Its kind.
+        kind: TaskKind,
+        /// What is wrong with it.
+        error: WorkError,
     },
     /// A run of inputs is not there, or ends before it begins.
     #[error("task {task} has the inputs {begin} to {end}, of {count}")]
@@ -124,6 +134,8 @@ fn check_all(graph: &TaskGraph, level: Digest) -> Result<(), GraphProblem> {
         let end = task.inputs_end;
         let inputs = graph.inputs.get(begin as usize..end as usize);
         let inputs = inputs.ok_or(GraphProblem::NoSuchInputs { task: index, begin, end, count })?;
+        let kind = task.work.kind();
+        task.work.check().map_err(|error| GraphProblem::BadWork { task: index, kind, error })?;
         check_surroundings(graph, index, task)?;
         check_inputs(graph, index, task, inputs)?;
         inputs.iter().for_each(|&input| is_needed[input as usize] = true);
@@ -183,7 +195,7 @@ fn check_outputs(graph: &TaskGraph) -> Result<(), GraphProblem> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{codec, graph::tests::graph};
+    use crate::{Work, codec, graph::tests::graph};
     use proptest::prelude::*;
 
     fn level() -> Digest {
@@ -226,6 +238,16 @@ mod tests {
         assert_eq!(found, NoSuchInputs { task: 3, begin: 2, end: 1, count: 3 });
         assert!(matches!(problem(|g| g.tasks[0].inputs_end = u32::MAX), NoSuchInputs { task: 0, .. }));
         assert_eq!(problem(|g| g.inputs.push(0)), StrayInputs { end: 3, count: 4 });
+    }
+
+    #[test]
+    fn work_can_be_done() {
+        let problem = problem(|g| match &mut g.tasks[3].work {
+            Work::Trace(piece) => piece.face_count = 0,
+            _ => {}
+        });
+        assert!(matches!(problem, GraphProblem::BadWork { task: 3, kind: TaskKind::Trace, .. }), "{problem}");
+        assert!(problem.to_string().contains("face_count is 0"));
     }
 
     #[test]

@@ -96,26 +96,6 @@ pub enum Gets {
     Scalar,
 }
 
-/// What an instance has in place of values at its vertices.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub enum InstanceNumbers {
-    /// The local AO of its model is to be multiplied by `y0 + y1 u + y2 v + y3 w`, u, v and w being the place within the
-    /// model's box ([`MeshEntry::bounds`]), each from −1 to 1 (Sloan et al. 2013, equation 3).
-    Global {
-        /// y0 to y3 for each channel.
-        channels: Vec<[f32; 4]>,
-        /// The same for the blend of the channels.
-        blend: [f32; 4],
-    },
-    /// AO that all of it has.
-    Scalar {
-        /// For each channel, 0 to 1.
-        ao: Vec<f32>,
-        /// Nothing with values is near: it is open.
-        is_open: bool,
-    },
-}
-
 impl Instance {
     /// Whether the transform mirrors, and so turns the winding of faces.
     pub fn is_mirrored(&self) -> bool {

@@ -6,6 +6,7 @@
 
 pub mod codec;
 mod digest;
+mod foliage;
 mod geometry;
 mod graph;
 mod graph_check;
@@ -20,11 +21,12 @@ mod task;
 mod work;
 
 pub use digest::{Digest, DigestBuilder, DigestStream, ParseDigestError};
+pub use foliage::{InstanceNumbers, TreeErrors, TreeFits};
 pub use geometry::{Bounds, Class, Density, FaceGroup, Fog, Foliage, Mesh, OpticalDepth};
 pub use graph::{MAX_INPUTS, PlannedTask, TaskGraph};
 pub use graph_check::{GraphError, GraphProblem};
 pub use kind::{Lane, LanePart, MIXED_LANE, TaskKind};
-pub use level::{Gets, Instance, InstanceNumbers, Level, LevelCounts, MeshEntry, VertexBlock, Warning};
+pub use level::{Gets, Instance, Level, LevelCounts, MeshEntry, VertexBlock, Warning};
 pub use moments::{FaceMoments, HalfMoments, MomentsError, TraceSummary};
 pub use settings::{
     Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, FoliageMode, Kernel, MAX_CHANNELS, OutputSettings,
@@ -35,6 +37,5 @@ pub use solution::{CoarseFace, CoarseFaces, ComponentMethod, ErrorEstimate, Erro
 pub use summary::{BakeSummary, Baked, BeyondReach, FoliageSummary, MeshSummary, ModelSummary};
 pub use task::{ExportSpec, JobId, PlanSpec, SourceFile, SourceManifest, TaskKey, TaskSpec, WorkSpec};
 pub use work::{
-    FitWork, Output, RAYS_PER_VOXEL, ReadWork, ResultError, SolveWork, TraceWork, TreeErrors, TreeFits, VolumeWork,
-    Work,
+    FitWork, Output, RAYS_PER_VOXEL, ReadWork, ResultError, SolveWork, TraceWork, VolumeWork, Work, WorkError,
 };

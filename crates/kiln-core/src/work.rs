@@ -4,9 +4,8 @@
 //! result, its message in `kiln-proto` and its arm in `kiln-worker`. Whoever plans, leases, stores or skips tasks
 //! treats all kinds alike.
 
-use crate::{FaceMoments, InstanceNumbers, MomentsError, Solution, TaskKind, TraceSummary, codec};
+use crate::{FaceMoments, InstanceNumbers, MomentsError, Solution, TaskKind, TreeFits, codec};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
 
 /// What a task of a graph does, with all that a worker needs besides the level and the results of other tasks.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -103,6 +102,16 @@ pub enum Output {
     },
 }
 
+/// Work that cannot be done, whatever the level.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{field} {problem}")]
+pub struct WorkError {
+    /// The field at fault.
+    pub field: &'static str,
+    /// What is wrong with it, and what it must be.
+    pub problem: String,
+}
+
 /// A result that a task of its kind cannot have given.
 #[derive(Debug, thiserror::Error)]
 pub enum ResultError {
@@ -148,6 +157,22 @@ impl Work {
         }
     }
 
+    /// Checks the fields on their own, without the level: what comes from a peer is not believed.
+    pub fn check(&self) -> Result<(), WorkError> {
+        match self {
+            Self::Trace(piece) => piece.check(),
+            Self::Volume(VolumeWork { first_brick, brick_count }) => {
+                check_run("brick_count", *first_brick, *brick_count)
+            }
+            Self::Read(ReadWork { first, count }) => check_run("count", *first, *count),
+            Self::Fit(FitWork { instance_count: 0, .. }) => {
+                Err(WorkError { field: "instance_count", problem: "is 0; a model has instances".to_owned() })
+            }
+            // Whether there is such an instance or mesh, the level says.
+            Self::Solve(_) | Self::Fit(_) => Ok(()),
+        }
+    }
+
     /// Whether the result of a task that does `input` may be an input of this one.
     pub fn takes(&self, input: &Self) -> bool {
         match (self, input) {
@@ -175,74 +200,37 @@ impl Work {
             Self::Read(read) => {
                 let numbers: Vec<InstanceNumbers> = codec::decode("numbers of instances", bytes)?;
                 check_size("numbers", numbers.len(), read.count as usize)?;
-                numbers.iter().try_for_each(|numbers| check_numbers(numbers, channels))
+                numbers.iter().try_for_each(|numbers| numbers.check(channels))
             }
         }
     }
 }
 
-/// What the fit of a model's instances gives.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct TreeFits {
-    /// Number of channels.
-    pub channels: u32,
-    /// Local AO that all instances share, `vertices × channels`, in [0, 1].
-    pub local: Vec<f32>,
-    /// [`InstanceNumbers::Global`] of each instance that receives, in the level's order.
-    pub numbers: Vec<InstanceNumbers>,
-    /// Errors against the volume for each channel.
-    pub errors: Vec<TreeErrors>,
-    /// Totals of tracing the model alone.
-    pub trace: TraceSummary,
-    /// The lanes that did.
-    pub trace_lanes: BTreeSet<String>,
-    /// Voxels of the whole volume.
-    pub voxels: u64,
-}
-
-/// Errors of a model's instances against the volume, for one channel: roots of weighted means of squares.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct TreeErrors {
-    /// The linear function alone.
-    pub global_only: f64,
-    /// It times the local AO of the model alone.
-    pub local_global: f64,
-    /// Both fitted in turn.
-    pub alternated: f64,
-    /// Weight of the samples of all instances.
-    pub weight: f64,
-}
-
-impl TreeFits {
-    fn check(&self, fit: &FitWork, channels: usize) -> Result<(), ResultError> {
-        check_size("channels", self.channels as usize, channels)?;
-        check_size("values", self.local.len(), (fit.vertex_count as usize).saturating_mul(channels))?;
-        check_size("numbers", self.numbers.len(), fit.instance_count as usize)?;
-        check_size("errors", self.errors.len(), channels)?;
-        check_range("value", &self.local)?;
-        self.numbers.iter().try_for_each(|numbers| check_numbers(numbers, channels))
-    }
-}
-
-fn check_numbers(numbers: &InstanceNumbers, channels: usize) -> Result<(), ResultError> {
-    match numbers {
-        InstanceNumbers::Global { channels: all, blend } => {
-            check_size("channels", all.len(), channels)?;
-            let bad = all.iter().chain([blend]).flatten().filter(|y| !y.is_finite()).count();
-            check_size("numbers that are not finite", bad, 0)
-        }
-        InstanceNumbers::Scalar { ao, .. } => {
-            check_size("channels", ao.len(), channels)?;
-            check_range("number", ao)
-        }
-    }
-}
-
-fn check_range(what: &'static str, numbers: &[f32]) -> Result<(), ResultError> {
+pub(crate) fn check_range(what: &'static str, numbers: &[f32]) -> Result<(), ResultError> {
     match numbers.iter().position(|number| !(0.0..=1.0).contains(number)) {
         Some(index) => Err(ResultError::Range { what, index, number: numbers[index] }),
         None => Ok(()),
     }
+}
+
+impl TraceWork {
+    fn check(&self) -> Result<(), WorkError> {
+        let Self { first_face, face_count, density_per_m2, .. } = *self;
+        check_run("face_count", first_face, face_count)?;
+        if !(density_per_m2 >= 0.0 && density_per_m2.is_finite()) {
+            let problem = format!("is {density_per_m2}; it must be finite and not negative");
+            return Err(WorkError { field: "density_per_m2", problem });
+        }
+        Ok(())
+    }
+}
+
+/// A run of things that are numbered, at least one.
+fn check_run(field: &'static str, first: u32, count: u32) -> Result<(), WorkError> {
+    if count > 0 && first.checked_add(count).is_some() {
+        return Ok(());
+    }
+    Err(WorkError { field, problem: format!("is {count} from {first}; it must be a run of at least one") })
 }
 
 fn check_solution(vertices: usize, channels: usize, bytes: &[u8]) -> Result<(), ResultError> {
@@ -256,7 +244,7 @@ fn check_solution(vertices: usize, channels: usize, bytes: &[u8]) -> Result<(), 
     Ok(())
 }
 
-fn check_size(what: &'static str, found: usize, expected: usize) -> Result<(), ResultError> {
+pub(crate) fn check_size(what: &'static str, found: usize, expected: usize) -> Result<(), ResultError> {
     if found == expected { Ok(()) } else { Err(ResultError::Size { what, found, expected }) }
 }
 
@@ -267,6 +255,40 @@ mod tests {
 
     fn piece(face_count: u32) -> Work {
         Work::Trace(TraceWork { instance: 0, first_face: 0, face_count, density_per_m2: 1.0, alone: false })
+    }
+
+    #[test]
+    fn runs_are_not_empty() {
+        let run = |first, count| {
+            let works = [
+                Work::Volume(VolumeWork { first_brick: first, brick_count: count }),
+                Work::Read(ReadWork { first, count }),
+                Work::Trace(TraceWork {
+                    instance: 0,
+                    first_face: first,
+                    face_count: count,
+                    density_per_m2: 1.0,
+                    alone: true,
+                }),
+            ];
+            works.map(|work| work.check().is_ok())
+        };
+        assert_eq!((run(7, 1), run(7, 0), run(u32::MAX, 1)), ([true; 3], [false; 3], [false; 3]));
+        let fit = |instance_count| Work::Fit(FitWork { mesh: 0, vertex_count: 3, instance_count }).check().is_ok();
+        assert!(fit(1) && !fit(0));
+    }
+
+    #[test]
+    fn a_piece_is_a_run_of_faces_with_a_density() {
+        let good = TraceWork { instance: 0, first_face: 5, face_count: 1, density_per_m2: 0.0, alone: false };
+        assert_eq!(Work::Trace(good).check(), Ok(()));
+        let field = |work: TraceWork| Work::Trace(work).check().unwrap_err().field;
+        for face_count in [0, u32::MAX - 4] {
+            assert_eq!(field(TraceWork { face_count, ..good }), "face_count");
+        }
+        for density_per_m2 in [-1.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(field(TraceWork { density_per_m2, ..good }), "density_per_m2");
+        }
     }
 
     #[test]

@@ -139,33 +139,26 @@ impl TryFrom<v1::work_task::Work> for Work {
     type Error = FieldError;
 
     fn try_from(work: v1::work_task::Work) -> Result<Self, FieldError> {
-        match work {
-            v1::work_task::Work::Trace(work) => trace(work).map_err(|e| e.within("trace")),
+        let work = match work {
+            v1::work_task::Work::Trace(work) => {
+                let v1::TraceWork { instance, first_face, face_count, density_per_m2, alone } = work;
+                Self::Trace(TraceWork { instance, first_face, face_count, density_per_m2, alone })
+            }
             v1::work_task::Work::Solve(v1::SolveWork { instance, vertex_count, alone }) => {
-                Ok(Self::Solve(SolveWork { instance, vertex_count, alone }))
+                Self::Solve(SolveWork { instance, vertex_count, alone })
             }
             v1::work_task::Work::Volume(v1::VolumeWork { first_brick, brick_count }) => {
-                Ok(Self::Volume(VolumeWork { first_brick, brick_count }))
+                Self::Volume(VolumeWork { first_brick, brick_count })
             }
             v1::work_task::Work::Fit(v1::FitWork { mesh, vertex_count, instance_count }) => {
-                Ok(Self::Fit(FitWork { mesh, vertex_count, instance_count }))
+                Self::Fit(FitWork { mesh, vertex_count, instance_count })
             }
-            v1::work_task::Work::Read(v1::ReadWork { first, count }) => Ok(Self::Read(ReadWork { first, count })),
-        }
+            v1::work_task::Work::Read(v1::ReadWork { first, count }) => Self::Read(ReadWork { first, count }),
+        };
+        let name = work.kind().name();
+        work.check().map_err(|error| FieldError::new(format!("{name}.{}", error.field), error.problem))?;
+        Ok(work)
     }
-}
-
-fn trace(work: v1::TraceWork) -> Result<Work, FieldError> {
-    let v1::TraceWork { instance, first_face, face_count, density_per_m2, alone } = work;
-    if face_count == 0 || first_face.checked_add(face_count).is_none() {
-        let problem = format!("is {face_count} from face {first_face}; a piece is a run of faces");
-        return Err(FieldError::new("face_count", problem));
-    }
-    if !(density_per_m2 >= 0.0 && density_per_m2.is_finite()) {
-        let problem = format!("is {density_per_m2}; it must be finite and not negative");
-        return Err(FieldError::new("density_per_m2", problem));
-    }
-    Ok(Work::Trace(TraceWork { instance, first_face, face_count, density_per_m2, alone }))
 }
 
 #[cfg(test)]
@@ -184,7 +177,7 @@ mod tests {
                 Work::Trace(TraceWork { instance, first_face, face_count, density_per_m2, alone })
             },
         );
-        let numbers = || (any::<u32>(), any::<u32>(), any::<u32>());
+        let numbers = || (0..=u32::MAX / 2, 1..=u32::MAX / 2, 1..=u32::MAX);
         let solve = (any::<u32>(), any::<u32>(), any::<bool>());
         let solve =
             solve.prop_map(|(instance, vertex_count, alone)| Work::Solve(SolveWork { instance, vertex_count, alone }));
@@ -262,5 +255,7 @@ mod tests {
         assert_eq!(trace(v1::TraceWork { density_per_m2: f64::NAN, ..piece }), "work.trace.density_per_m2");
         assert_eq!(trace(v1::TraceWork { face_count: 0, ..piece }), "work.trace.face_count");
         assert_eq!(trace(v1::TraceWork { face_count: u32::MAX, ..piece }), "work.trace.face_count");
+        let read = v1::work_task::Work::Read(v1::ReadWork { first: 3, count: 0 });
+        assert_eq!(field(work(Some(read), vec![])), "work.read.count");
     }
 }

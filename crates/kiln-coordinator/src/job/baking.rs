@@ -36,7 +36,6 @@ impl Baking {
     /// `graph` has runs of inputs that exist, and no cycles.
     fn over(graph: TaskGraph) -> Self {
         let count = graph.tasks.len();
-        let inputs_of = |index: usize| graph.inputs_of(index as u32);
         // Where each run ends, then begins, then, once every dependent has taken its place, ends again.
         let mut dependents_end = vec![0u32; count];
         graph.inputs.iter().for_each(|&input| dependents_end[input as usize] += 1);
@@ -45,21 +44,18 @@ impl Baking {
             (*end, sum) = (sum, sum + *end);
         }
         let mut dependents = vec![0; graph.inputs.len()];
-        for task in 0..count {
-            for &input in inputs_of(task) {
+        let mut missing = Vec::with_capacity(count);
+        for task in 0..count as u32 {
+            let inputs = graph.inputs_of(task);
+            missing.push(inputs.len() as u32);
+            for &input in inputs {
                 let place = &mut dependents_end[input as usize];
-                dependents[*place as usize] = task as u32;
+                dependents[*place as usize] = task;
                 *place += 1;
             }
         }
-        Self {
-            results: vec![None; count],
-            missing: (0..count).map(|task| inputs_of(task).len() as u32).collect(),
-            dependents_end,
-            dependents,
-            missing_outputs: graph.tasks.iter().filter(|task| task.output.is_some()).count(),
-            graph,
-        }
+        let missing_outputs = graph.tasks.iter().filter(|task| task.output.is_some()).count();
+        Self { results: vec![None; count], missing, dependents_end, dependents, missing_outputs, graph }
     }
 
     /// The tasks that wait for nothing, in the order of the graph.
