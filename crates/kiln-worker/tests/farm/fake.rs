@@ -1,5 +1,5 @@
 //! An executor that bakes nothing, but obeys every rule: pure, deterministic, with results of the right size. The
-//! "level" is a line of text: `instances pieces salt`, or `refuse WHY`.
+//! "level" is a line of text: `instances pieces salt`, with ` twins` if all instances are the same, or `refuse WHY`.
 
 use kiln_core::{
     BakeSummary, Baked, Bounds, Digest, DigestBuilder, ExportSpec, FaceMoments, HalfMoments, Kernel, Lane, Level,
@@ -206,19 +206,21 @@ fn plan(spec: &PlanSpec, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskEr
     let level = level(spec.level, artefacts)?;
     let words: Vec<&str> = level.meshes[0].name.split(' ').collect();
     let (instances, pieces): (u32, u32) = (words[0].parse().unwrap(), words[1].parse().unwrap());
+    let are_twins = words.get(3) == Some(&"twins");
     let mut graph = TaskGraph::new(spec.level, &level);
     graph.surroundings.push(Digest::of(words[2].as_bytes()));
     for instance in 0..instances {
         let first = graph.tasks.len() as u32;
         for first_face in 0..pieces {
-            let family = family("trace", words[2], &spec.lane, graph.tasks.len());
+            let index = if are_twins { first_face as usize } else { graph.tasks.len() };
+            let family = family("trace", words[2], &spec.lane, index);
             // Results follow from the bake's lane, as those of a real tracer do.
-            let density_per_m2 = f64::from(family.0[0]) + 1.0;
+            let density_per_m2 = f64::from(u32::from_le_bytes([family.0[0], family.0[1], family.0[2], family.0[3]]));
             let piece = TraceWork { instance, first_face, face_count: 1, density_per_m2, alone: false };
             let task = PlannedTask::new(Work::Trace(piece), family, 100);
             graph.add(PlannedTask { surroundings: Some(0), ..task }, []);
         }
-        let family = family("solve", words[2], &spec.lane, instance as usize);
+        let family = family("solve", words[2], &spec.lane, if are_twins { 0 } else { instance as usize });
         let solve = Work::Solve(SolveWork { instance, vertex_count: VERTICES, alone: false });
         let output = Some(Output::Solution { instance });
         graph
@@ -231,10 +233,7 @@ fn trace(digest: Digest, piece: &TraceWork, artefacts: &dyn Artefacts) -> Result
     let level = level(digest, artefacts)?;
     artefacts.get(level.meshes[0].digest)?;
     let mut key = DigestBuilder::new("piece");
-    key.text(&level.meshes[0].name)
-        .integer(u64::from(piece.instance))
-        .integer(u64::from(piece.first_face))
-        .float(piece.density_per_m2);
+    key.float(piece.density_per_m2);
     let value = f64::from(key.finish().0[0]) / 255.0;
     let mut half = HalfMoments::default();
     half.add([0.25, 0.25, 0.5], &[value, value]);

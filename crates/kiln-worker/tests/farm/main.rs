@@ -63,6 +63,18 @@ async fn bakes_at_the_same_time_share_what_is_under_way() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_is_the_same_within_a_bake_runs_once() {
+    let farm = TestFarm::start().await;
+    let _worker = farm.worker("a");
+    let bake = farm.bake("5 3 salt twins").await;
+    assert_eq!((stage(&bake, TaskKind::Trace), farm.control.runs(TaskKind::Trace)), ((15, 15, 12), 3));
+    assert_eq!((stage(&bake, TaskKind::Solve), farm.control.runs(TaskKind::Solve)), ((5, 5, 4), 1));
+    let file = farm.file(&bake).await;
+    let solutions: Vec<&[u8]> = file[6..].chunks(4 + 4 * 6).map(|instance| &instance[4..]).collect();
+    assert_eq!(solutions, [solutions[0]; 5], "and each instance is given the result");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn workers_may_have_no_store_but_the_farms() {
     let farm = TestFarm::start().await;
     let cache = tempfile::tempdir().unwrap();
