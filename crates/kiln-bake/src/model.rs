@@ -90,19 +90,12 @@ pub fn values_in_volume(volume: &Volume, points: &[ModelPoint], world_from_objec
 mod tests {
     use super::*;
     use crate::volume::{GatherSettings, Layout, LayoutSettings, gather_batch};
-    use kiln_core::{Bounds, Class, FaceGroup, Kernel};
+    use kiln_core::{Bounds, FaceGroup, Kernel};
     use kiln_trace::{CpuTracer, KernelRates, MeshBvh, Scene, SceneObject};
     use std::sync::Arc;
 
     fn card(double_sided: bool) -> Mesh {
-        let group = FaceGroup {
-            class: Class::Opaque,
-            double_sided,
-            occludes: true,
-            foliage: None,
-            receives: true,
-            max_samples_per_face: None,
-        };
+        let group = FaceGroup { double_sided, ..FaceGroup::PLAIN };
         Mesh {
             positions: vec![[-1.0, 0.0, -1.0], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 0.0, -1.0]],
             normals: vec![[0.0; 3]; 4],

@@ -106,6 +106,18 @@ pub struct FaceGroup {
     pub max_samples_per_face: Option<u32>,
 }
 
+impl FaceGroup {
+    /// Ordinary faces: opaque, seen from the front, without a cap.
+    pub const PLAIN: Self = Self {
+        class: Class::Opaque,
+        double_sided: false,
+        occludes: true,
+        foliage: None,
+        receives: true,
+        max_samples_per_face: None,
+    };
+}
+
 /// A mesh in object space, metres before the instance's transform.
 ///
 /// Faces are in Morton order of their centroids, so that a contiguous range is compact; vertices are in the

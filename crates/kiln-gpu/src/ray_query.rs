@@ -16,7 +16,7 @@
 
 use crate::{GpuDevice, GpuError, GpuTracer};
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use kiln_core::{Class, FaceGroup, Mesh};
+use kiln_core::{FaceGroup, Mesh};
 use kiln_trace::{Hit, MeshBvh, Ray, Scene, SceneObject, Tracer};
 use std::sync::Arc;
 
@@ -68,14 +68,7 @@ fn scene() -> (Scene, Vec<DAffine3>) {
     let positions: Vec<[f32; 3]> = (0..side * side).map(at).map(|(x, y)| [x, y, height(x, y)]).collect();
     let cells = (0..side * (side - 1)).filter(|i| i % side + 1 < side);
     let faces: Vec<[u32; 3]> = cells.flat_map(|i| [[i, i + 1, i + side], [i + 1, i + side + 1, i + side]]).collect();
-    let group = FaceGroup {
-        class: Class::Opaque,
-        double_sided: false,
-        occludes: true,
-        foliage: None,
-        receives: true,
-        max_samples_per_face: None,
-    };
+    let group = FaceGroup::PLAIN;
     let mesh = Mesh {
         normals: vec![[0.0; 3]; positions.len()],
         positions,

@@ -14,7 +14,7 @@ use crate::{
     scene::{Placement, placements},
 };
 use glam::DVec3;
-use kiln_core::{Class, FaceGroup};
+use kiln_core::FaceGroup;
 
 /// A baked file: all triangles of its scene.
 #[derive(Clone, Debug, PartialEq)]
@@ -139,14 +139,7 @@ fn is_good(primitive: &Primitive<'_>, positions: &[[f32; 3]], vertex: u32) -> bo
 
 /// What a primitive is opened as where classes don't matter.
 fn plain_group() -> FaceGroup {
-    FaceGroup {
-        class: Class::Opaque,
-        double_sided: false,
-        occludes: true,
-        foliage: None,
-        receives: true,
-        max_samples_per_face: None,
-    }
+    FaceGroup::PLAIN
 }
 
 /// Components and values of an attribute of any width.

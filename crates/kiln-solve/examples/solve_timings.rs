@@ -118,14 +118,7 @@ struct Scene {
 
 impl Default for Scene {
     fn default() -> Self {
-        let group = FaceGroup {
-            class: kiln_core::Class::Opaque,
-            double_sided: false,
-            occludes: true,
-            foliage: None,
-            receives: true,
-            max_samples_per_face: None,
-        };
+        let group = FaceGroup::PLAIN;
         Self { mesh: Mesh { groups: vec![group], ..Mesh::default() }, moments: FaceMoments::new(2) }
     }
 }

@@ -70,14 +70,7 @@ fn leaves(count: u64) -> Mesh {
     }
     mesh.normals = vec![[0.0; 3]; mesh.positions.len()];
     mesh.face_group = vec![0; mesh.faces.len()];
-    mesh.groups = vec![FaceGroup {
-        class: Class::Tree,
-        double_sided: true,
-        occludes: true,
-        foliage: None,
-        receives: true,
-        max_samples_per_face: None,
-    }];
+    mesh.groups = vec![FaceGroup { class: Class::Tree, double_sided: true, ..FaceGroup::PLAIN }];
     mesh
 }
 

@@ -239,7 +239,7 @@ fn check_unused_slots(node: &WideNode) -> Result<(), StoredBvhError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use kiln_core::{Class, Digest, FaceGroup};
+    use kiln_core::{Digest, FaceGroup};
     use proptest::prelude::*;
 
     /// Hills of `size`² squares in whole numbers; every third face occludes nothing, or from both sides, as asked.
@@ -255,14 +255,7 @@ mod tests {
         if is_doubled {
             faces.extend(faces.clone().into_iter().step_by(4).map(|[a, b, c]| [c, b, a]));
         }
-        let group = |occludes: bool, double_sided: bool| FaceGroup {
-            class: Class::Opaque,
-            double_sided,
-            occludes,
-            foliage: None,
-            receives: true,
-            max_samples_per_face: None,
-        };
+        let group = |occludes: bool, double_sided: bool| FaceGroup { double_sided, occludes, ..FaceGroup::PLAIN };
         Mesh {
             positions: (0..side * side).map(position).collect(),
             normals: vec![[0.0, 1.0, 0.0]; (side * side) as usize],

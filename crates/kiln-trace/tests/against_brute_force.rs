@@ -1,7 +1,7 @@
 //! The CPU tracer against brute force in f64, and its laws.
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use kiln_core::{Class, FaceGroup, Kernel, Mesh};
+use kiln_core::{FaceGroup, Kernel, Mesh};
 use kiln_trace::{
     CosineSums, CpuTracer, Hit, KernelRates, MeshBvh, Path, PositionError, Ray, Scene, SceneObject, SobolScramble,
     SurfaceSample, Tracer, is_open_above,
@@ -10,14 +10,7 @@ use proptest::prelude::*;
 use std::sync::Arc;
 
 fn mesh(triangles: &[[Vec3; 3]]) -> Mesh {
-    let group = FaceGroup {
-        class: Class::Opaque,
-        double_sided: false,
-        occludes: true,
-        foliage: None,
-        receives: true,
-        max_samples_per_face: None,
-    };
+    let group = FaceGroup::PLAIN;
     Mesh {
         positions: triangles.iter().flatten().map(Vec3::to_array).collect(),
         normals: vec![[0.0; 3]; 3 * triangles.len()],

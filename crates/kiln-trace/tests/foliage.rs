@@ -1,7 +1,7 @@
 //! Rays through foliage: against closed forms, against brute force, and by law.
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use kiln_core::{Bounds, Class, FaceGroup, Fog, Foliage as FaceFoliage, FoliageMode, Kernel, Mesh, OpticalDepth};
+use kiln_core::{Bounds, FaceGroup, Fog, Foliage as FaceFoliage, FoliageMode, Kernel, Mesh, OpticalDepth};
 use kiln_trace::{
     CosineSums, CpuTracer, CrossingMesh, Foliage, FoliageObject, KernelRates, MeshBvh, Path, Scene, SceneObject,
     SobolScramble, SurfaceSample, Tracer, cosine_direction, is_open_above, orthonormal_basis, sobol_point,
@@ -13,14 +13,7 @@ const BOTH: [FoliageMode; 2] = [FoliageMode::Attenuate, FoliageMode::Expected];
 
 fn mesh(triangles: &[[Vec3; 3]], transmittance: Option<f64>) -> Mesh {
     let foliage = transmittance.map(|kept| FaceFoliage::Crossing(OpticalDepth::of_transmittance(kept)));
-    let group = FaceGroup {
-        class: Class::Opaque,
-        double_sided: false,
-        occludes: foliage.is_none(),
-        foliage,
-        receives: true,
-        max_samples_per_face: None,
-    };
+    let group = FaceGroup { occludes: foliage.is_none(), foliage, ..FaceGroup::PLAIN };
     Mesh {
         positions: triangles.iter().flatten().map(Vec3::to_array).collect(),
         normals: vec![[0.0; 3]; 3 * triangles.len()],

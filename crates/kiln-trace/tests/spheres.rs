@@ -1,7 +1,7 @@
 //! Spheres on the CPU tracer: as its closest hits have it, and in no order.
 
 use glam::{DAffine3, Vec3};
-use kiln_core::{Class, FaceGroup, Kernel, Mesh};
+use kiln_core::{FaceGroup, Kernel, Mesh};
 use kiln_trace::{
     CpuTracer, KernelRates, MeshBvh, Path, Scene, SceneObject, SobolScramble, SpherePoint, SphereSums, Tracer,
     gather_sphere_by_rays,
@@ -10,14 +10,7 @@ use proptest::prelude::*;
 use std::sync::Arc;
 
 fn tracer(triangles: &[[Vec3; 3]]) -> CpuTracer {
-    let group = FaceGroup {
-        class: Class::Opaque,
-        double_sided: false,
-        occludes: true,
-        foliage: None,
-        receives: true,
-        max_samples_per_face: None,
-    };
+    let group = FaceGroup::PLAIN;
     let mesh = Mesh {
         positions: triangles.iter().flatten().map(Vec3::to_array).collect(),
         normals: vec![[0.0; 3]; 3 * triangles.len()],

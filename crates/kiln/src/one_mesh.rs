@@ -1,7 +1,7 @@
 //! All triangles of a baked file as one mesh that can be traced.
 
 use glam::{DAffine3, DVec3};
-use kiln_core::{Class, FaceGroup, Mesh};
+use kiln_core::{FaceGroup, Mesh};
 use kiln_scene::{BakedPart, BakedScene};
 use kiln_trace::{MeshBvh, Scene, SceneObject};
 use std::sync::Arc;
@@ -9,14 +9,7 @@ use std::sync::Arc;
 /// Faces of all parts in order, relative to an origin near what matters, so that f32 holds far-away levels. Every face
 /// occludes; those of parts for which `receives` says so receive.
 pub(crate) fn one_mesh(scene: &BakedScene, origin: DVec3, receives: impl Fn(&BakedPart) -> bool) -> Mesh {
-    let group = |double_sided, receives| FaceGroup {
-        class: Class::Opaque,
-        double_sided,
-        occludes: true,
-        foliage: None,
-        receives,
-        max_samples_per_face: None,
-    };
+    let group = |double_sided, receives| FaceGroup { double_sided, receives, ..FaceGroup::PLAIN };
     let groups = vec![group(false, false), group(true, false), group(false, true), group(true, true)];
     let mut mesh = Mesh { groups, ..Mesh::default() };
     for part in &scene.parts {

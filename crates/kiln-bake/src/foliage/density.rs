@@ -124,14 +124,7 @@ impl Lines {
     }
 
     fn blocked(&self, mesh: &Mesh, faces: &[usize]) -> Vec<bool> {
-        let group = FaceGroup {
-            class: Class::Opaque,
-            double_sided: true,
-            occludes: true,
-            foliage: None,
-            receives: false,
-            max_samples_per_face: None,
-        };
+        let group = FaceGroup { double_sided: true, receives: false, ..FaceGroup::PLAIN };
         let corner = |corner: Vec3| ((corner.as_dvec3() - self.center) * self.scale).as_vec3().to_array();
         let alone = Mesh {
             positions: faces.iter().flat_map(|face| mesh.corners(*face)).map(corner).collect(),

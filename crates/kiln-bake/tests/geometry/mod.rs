@@ -1,19 +1,12 @@
 //! Meshes and settings that the tests of pieces share.
 
 use glam::Vec3;
-use kiln_core::{Class, FaceGroup, HalfMoments, Kernel, Mesh, Sampling};
+use kiln_core::{FaceGroup, HalfMoments, Kernel, Mesh, Sampling};
 use std::collections::BTreeSet;
 
 /// Triangles, each with corners of its own that have these normals; a normal of zero is the face's.
 pub(crate) fn mesh(triangles: &[[Vec3; 3]], double_sided: bool, normal: impl Fn(Vec3) -> Vec3) -> Mesh {
-    let group = FaceGroup {
-        class: Class::Opaque,
-        double_sided,
-        occludes: true,
-        foliage: None,
-        receives: true,
-        max_samples_per_face: None,
-    };
+    let group = FaceGroup { double_sided, ..FaceGroup::PLAIN };
     let corners = || triangles.iter().flatten();
     Mesh {
         positions: corners().map(Vec3::to_array).collect(),

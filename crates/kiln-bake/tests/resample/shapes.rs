@@ -2,7 +2,7 @@
 
 use glam::{DAffine3, DVec3, Vec3};
 use kiln_bake::{BakedInstance, BakedSurface};
-use kiln_core::{Class, FaceGroup, Kernel, Mesh, Sampling};
+use kiln_core::{FaceGroup, Kernel, Mesh, Sampling};
 use kiln_trace::{CpuTracer, MeshBvh, Scene, SceneObject};
 use std::{collections::BTreeSet, f64::consts::TAU, sync::Arc};
 
@@ -56,14 +56,7 @@ fn mesh(positions: &[Vec3], faces: Vec<[u32; 3]>) -> Mesh {
         normals: normals.iter().map(|normal| normal.normalize_or_zero().to_array()).collect(),
         face_group: vec![0; faces.len()],
         faces,
-        groups: vec![FaceGroup {
-            class: Class::Opaque,
-            double_sided: false,
-            occludes: true,
-            foliage: None,
-            receives: true,
-            max_samples_per_face: None,
-        }],
+        groups: vec![FaceGroup::PLAIN],
     }
 }
 

@@ -6,7 +6,7 @@
 //! (1: the back of the triangle).
 
 use crate::BenchError;
-use kiln_core::{Class, FaceGroup, Mesh};
+use kiln_core::{FaceGroup, Mesh};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -118,14 +118,7 @@ impl Paths {
 
 /// What faces without a material have in common.
 pub(super) fn group(double_sided: bool) -> FaceGroup {
-    FaceGroup {
-        class: Class::Opaque,
-        double_sided,
-        occludes: true,
-        foliage: None,
-        receives: true,
-        max_samples_per_face: None,
-    }
+    FaceGroup { double_sided, ..FaceGroup::PLAIN }
 }
 
 fn read_rays(path: &Path) -> Result<RaySet, BenchError> {

@@ -5,7 +5,7 @@ use super::{
     signal::{self, noise},
 };
 use glam::DAffine3;
-use kiln_core::{Class, FaceGroup, Mesh, SolveSettings};
+use kiln_core::{FaceGroup, Mesh, SolveSettings};
 use kiln_solve::ComponentSystem;
 
 /// One component: a bumpy terrain of `side²` vertices, without samples in a square about its middle that is
@@ -48,14 +48,7 @@ fn sides(count: u32) -> impl Iterator<Item = u32> {
 }
 
 fn empty() -> Mesh {
-    let group = FaceGroup {
-        class: Class::Opaque,
-        double_sided: false,
-        occludes: true,
-        foliage: None,
-        receives: true,
-        max_samples_per_face: None,
-    };
+    let group = FaceGroup::PLAIN;
     Mesh { groups: vec![group], ..Mesh::default() }
 }
 

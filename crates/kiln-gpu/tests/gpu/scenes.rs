@@ -1,7 +1,7 @@
 //! Scenes made by code: geometry with what is hard for a tracer, and samples on its surface.
 
 use glam::{DAffine3, DQuat, DVec3, Vec3};
-use kiln_core::{Class, FaceGroup, Mesh};
+use kiln_core::{FaceGroup, Mesh};
 use kiln_trace::{MeshBvh, PositionError, Scene, SceneObject, SobolScramble, SurfaceSample};
 use std::sync::Arc;
 
@@ -36,14 +36,7 @@ type Triangle = [Vec3; 3];
 
 /// A mesh whose triangles from `double_sided` on are double-sided.
 fn mesh(triangles: &[Triangle], double_sided: usize) -> Mesh {
-    let group = |double_sided| FaceGroup {
-        class: Class::Opaque,
-        double_sided,
-        occludes: true,
-        foliage: None,
-        receives: true,
-        max_samples_per_face: None,
-    };
+    let group = |double_sided| FaceGroup { double_sided, ..FaceGroup::PLAIN };
     Mesh {
         positions: triangles.iter().flatten().map(Vec3::to_array).collect(),
         normals: vec![[0.0; 3]; 3 * triangles.len()],

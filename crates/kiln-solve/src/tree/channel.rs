@@ -158,14 +158,7 @@ pub(crate) mod tests {
         let positions: Vec<_> = (0..25).map(place).map(|[x, y]| [x, y, (x - 2.0).abs()]).collect();
         let quads = (0..20u32).filter(|v| v % 5 < 4);
         let faces: Vec<_> = quads.flat_map(|v| [[v, v + 5, v + 1], [v + 1, v + 5, v + 6]]).collect();
-        let group = FaceGroup {
-            class: Class::Tree,
-            double_sided: true,
-            occludes: true,
-            foliage: None,
-            receives: true,
-            max_samples_per_face: None,
-        };
+        let group = FaceGroup { class: Class::Tree, double_sided: true, ..FaceGroup::PLAIN };
         let (normals, face_group) = (vec![[0.0; 3]; 25], vec![0; faces.len()]);
         let mesh = Mesh { positions, normals, faces, face_group, groups: vec![group] };
         let on_face = |face: u32| {

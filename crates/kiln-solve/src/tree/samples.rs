@@ -154,14 +154,7 @@ mod tests {
     use kiln_core::{Class, FaceGroup};
 
     fn triangle() -> Mesh {
-        let group = FaceGroup {
-            class: Class::Tree,
-            double_sided: true,
-            occludes: true,
-            foliage: None,
-            receives: true,
-            max_samples_per_face: None,
-        };
+        let group = FaceGroup { class: Class::Tree, double_sided: true, ..FaceGroup::PLAIN };
         Mesh {
             positions: vec![[1.0, 5.0, 0.0], [3.0, 5.0, 0.0], [1.0, 5.0, 8.0]],
             normals: vec![[0.0; 3]; 3],

@@ -134,14 +134,7 @@ mod tests {
     fn wall(columns: u32, height: f32) -> Mesh {
         let position = |i: u32| [(i / 2) as f32, (i % 2) as f32 * height, 0.0];
         let square = |i: u32| [[2 * i, 2 * i + 2, 2 * i + 1], [2 * i + 1, 2 * i + 2, 2 * i + 3]];
-        let group = kiln_core::FaceGroup {
-            class: kiln_core::Class::Opaque,
-            double_sided: false,
-            occludes: true,
-            foliage: None,
-            receives: true,
-            max_samples_per_face: None,
-        };
+        let group = kiln_core::FaceGroup::PLAIN;
         Mesh {
             positions: (0..2 * columns + 2).map(position).collect(),
             normals: vec![[0.0, 0.0, 1.0]; 2 * columns as usize + 2],

@@ -14,7 +14,7 @@ use crate::{
 };
 use glam::{DAffine3, DVec3};
 use kiln_bake::volume::{Volume, VolumeError};
-use kiln_core::{Bounds, Class, Digest, FaceGroup, Instance, Level, Mesh, REACH_EPSILON, codec};
+use kiln_core::{Bounds, Digest, FaceGroup, Instance, Level, Mesh, REACH_EPSILON, codec};
 use kiln_gpu::GpuError;
 use kiln_plan::Reach;
 use kiln_trace::{CrossingMesh, Foliage, FoliageObject, MeshBvh, Scene, SceneObject, Tracer};
@@ -263,14 +263,7 @@ pub fn ground_plane(level: &Level) -> Option<Mesh> {
     let reach = level.sampling.kernel.reach_m(REACH_EPSILON).min(MAX_PLANE_REACH_M);
     let (low, high) = (bounds.min - reach, bounds.max + reach);
     let corner = |x: f64, z: f64| [x as f32, height as f32, z as f32];
-    let group = FaceGroup {
-        class: Class::Opaque,
-        double_sided: true,
-        occludes: true,
-        foliage: None,
-        receives: false,
-        max_samples_per_face: None,
-    };
+    let group = FaceGroup { double_sided: true, receives: false, ..FaceGroup::PLAIN };
     Some(Mesh {
         positions: vec![corner(low.x, low.z), corner(low.x, high.z), corner(high.x, high.z), corner(high.x, low.z)],
         normals: vec![[0.0, 1.0, 0.0]; 4],

@@ -2,19 +2,12 @@
 
 use crate::solve::signal::noise;
 use glam::{DAffine3, DVec3, Vec3};
-use kiln_core::{Class, FaceGroup, FaceMoments, HalfMoments, Mesh, Solution, SolveSettings};
+use kiln_core::{FaceGroup, FaceMoments, HalfMoments, Mesh, Solution, SolveSettings};
 use kiln_solve::{SolveError, SolveInput, SolverParams, certificate::RESIDUAL_LIMIT, solve_with};
 
 /// A mesh of one receiving group without shading normals.
 pub(super) fn mesh(positions: Vec<[f32; 3]>, faces: Vec<[u32; 3]>) -> Mesh {
-    let group = FaceGroup {
-        class: Class::Opaque,
-        double_sided: false,
-        occludes: true,
-        foliage: None,
-        receives: true,
-        max_samples_per_face: None,
-    };
+    let group = FaceGroup::PLAIN;
     let normals = vec![[0.0; 3]; positions.len()];
     Mesh { normals, face_group: vec![0; faces.len()], groups: vec![group], positions, faces }
 }
