@@ -84,6 +84,19 @@ fn trees_get_four_numbers_and_shrubs_one() {
 }
 
 #[test]
+fn shrubs_without_ground_are_told_of() {
+    let place = planted();
+    let warnings = |report: &Value| {
+        let all = report["warnings"].as_array().expect("a list").clone();
+        all.into_iter().filter(|warning| warning["code"] == "open_scalars").collect::<Vec<_>>()
+    };
+    assert_eq!(warnings(&bake(&place, "all.glb", &[])), [Value::Null; 0]);
+    let alone = bake(&place, "alone.glb", &["--only", "rafter*"]);
+    assert_eq!((&alone["foliage"]["scalars"], &alone["foliage"]["open_scalars"]), (&json!(9), &json!(9)));
+    assert_eq!(warnings(&alone)[0]["count"], 9);
+}
+
+#[test]
 fn foliage_is_baked_once_and_alike_everywhere() {
     let place = planted();
     bake(&place, "first.glb", &["--threads", "1"]);

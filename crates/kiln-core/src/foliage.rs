@@ -60,10 +60,11 @@ pub struct TreeFits {
     pub voxels: u64,
 }
 
-/// Errors of a model's instances against the volume, for one channel: roots of weighted means of squares.
+/// Errors of a model's instances against the signal that they were fitted to, for one channel: roots of weighted means of
+/// squares.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TreeErrors {
-    /// The linear function alone.
+    /// The linear function alone, with L = 1.
     pub global_only: f64,
     /// It times the local AO of the model alone.
     pub local_global: f64,

@@ -242,9 +242,10 @@ mod tests {
 
     #[test]
     fn work_can_be_done() {
-        let problem = problem(|g| match &mut g.tasks[3].work {
-            Work::Trace(piece) => piece.face_count = 0,
-            _ => {}
+        let problem = problem(|g| {
+            if let Work::Trace(piece) = &mut g.tasks[3].work {
+                piece.face_count = 0;
+            }
         });
         assert!(matches!(problem, GraphProblem::BadWork { task: 3, kind: TaskKind::Trace, .. }), "{problem}");
         assert!(problem.to_string().contains("face_count is 0"));

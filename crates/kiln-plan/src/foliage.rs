@@ -1,7 +1,7 @@
 //! Tasks of foliage: local AO of each tree model, the volume around trees, the fits of their instances, and one number for each
 //! shrub and decorator. A level without them has none of these.
 
-use crate::{InstanceSampling, Planner, Reach, Receiver, add_place, pieces, solve_family, trace_family};
+use crate::{InstanceSampling, PlanError, Planner, Reach, Receiver, add_place, pieces, solve_family, trace_family};
 use glam::{DAffine3, DVec3};
 use kiln_core::{
     Digest, DigestBuilder, FitWork, Output, PlannedTask, ReadWork, SolveWork, TaskKind, TraceWork, VolumeWork, Work,
@@ -62,15 +62,18 @@ pub struct RunPlan {
 
 impl Planner<'_> {
     /// Adds the tasks of foliage; those of the instances with values must be there. `solve_of` names the solve of each.
-    pub(crate) fn add_foliage(&mut self, plan: &FoliagePlan, reach: &Reach, solve_of: &[Option<u32>]) {
+    pub(crate) fn add_foliage(
+        &mut self,
+        plan: &FoliagePlan,
+        reach: &Reach,
+        solve_of: &[Option<u32>],
+    ) -> Result<(), PlanError> {
         let locals: Vec<u32> = plan.models.iter().map(|model| self.add_local(model)).collect();
         let volume: Vec<u32> = plan.volume.iter().map(|batch| self.add_batch(batch, reach)).collect();
         for (model, local) in plan.models.iter().zip(locals) {
             self.add_fit(model, local, &volume);
         }
-        for run in &plan.runs {
-            self.add_run(run, reach, solve_of);
-        }
+        plan.runs.iter().try_for_each(|run| self.add_run(run, reach, solve_of))
     }
 
     /// A new entry among what can stop rays.
@@ -140,7 +143,7 @@ impl Planner<'_> {
         self.graph.add(task, std::iter::once(local).chain(volume.iter().copied()));
     }
 
-    fn add_run(&mut self, run: &RunPlan, reach: &Reach, solve_of: &[Option<u32>]) {
+    fn add_run(&mut self, run: &RunPlan, reach: &Reach, solve_of: &[Option<u32>]) -> Result<(), PlanError> {
         let mut family = DigestBuilder::new("kiln read family");
         family.integer(u64::from(TaskKind::Read.kernel_rev())).text(&self.lane.trace);
         for instance in &run.instances {
@@ -155,11 +158,83 @@ impl Planner<'_> {
         }
         family.integer(self.level.sampling.seed).integer(self.level.sampling.kernel.channel_count() as u64);
         let group = run.instances.first().and_then(|instance| reach.group(*instance as usize));
-        let surroundings = Some(group.unwrap_or(0) as u32);
+        let surroundings = Some(self.surroundings_of(group, run.first as usize)?);
         let (first, count) = (run.first, run.instances.len() as u32);
         let task = PlannedTask::new(Work::Read(ReadWork { first, count }), family.finish(), run.ray_count);
         let output = Some(Output::Scalars { first, count });
         let inputs = run.near.iter().filter_map(|near| solve_of.get(*near as usize).copied().flatten());
         self.graph.add(PlannedTask { surroundings, output, ..task }, inputs);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tests::{level, with_foliage};
+    use kiln_core::{Gets, Level, TaskGraph};
+
+    /// Instance 1 a tree, instance 2 a shrub beside the wall.
+    fn planted() -> (Level, FoliagePlan) {
+        let mut level = level();
+        level.instances[1].gets = Gets::Global;
+        level.instances[2].gets = Gets::Scalar;
+        let sampling = InstanceSampling { density_per_m2: 2.0, piece_samples: vec![48] };
+        let batch = |first_brick| VolumePlan {
+            first_brick,
+            brick_count: 2,
+            voxel_count: 300,
+            voxels: Digest::of(&[first_brick as u8]),
+            trees: vec![1],
+        };
+        let foliage = FoliagePlan {
+            models: vec![ModelPlan { mesh: 1, instances: vec![1], scale: 1.0, sampling }],
+            volume: vec![batch(0), batch(2)],
+            runs: vec![RunPlan { first: 0, instances: vec![2], near: vec![0], ray_count: 1024 }],
+        };
+        (level, foliage)
+    }
+
+    #[test]
+    fn foliage_has_tasks_of_its_own() {
+        let (level, foliage) = planted();
+        let graph = with_foliage(&level, &foliage);
+        graph.check(Digest::default()).unwrap();
+        let kinds: Vec<TaskKind> = graph.tasks.iter().map(|task| task.work.kind()).collect();
+        use TaskKind::{Fit, Read, Solve, Trace, Volume};
+        assert_eq!(kinds, [Trace, Trace, Trace, Solve, Trace, Solve, Volume, Volume, Fit, Read]);
+        assert_eq!((graph.inputs_of(8), graph.inputs_of(9)), (&[5, 6, 7][..], &[3][..]));
+        let outputs: Vec<Output> = graph.tasks.iter().filter_map(|task| task.output).collect();
+        let scalars = Output::Scalars { first: 0, count: 1 };
+        assert_eq!(outputs, [Output::Solution { instance: 0 }, Output::Trees { mesh: 1 }, scalars]);
+        assert_eq!(graph.tasks[6].cost, 300 * 1024);
+    }
+
+    #[test]
+    fn tasks_of_foliage_know_what_they_depend_on() {
+        let (level, foliage) = planted();
+        let key = |graph: &TaskGraph, task: usize| graph.key(&graph.tasks[task], &[]);
+        let before = with_foliage(&level, &foliage);
+        let keys = |graph: &TaskGraph| (4..10).map(|task| key(graph, task)).collect::<Vec<_>>();
+        let same = |level: &Level, foliage: &FoliagePlan| {
+            let after = with_foliage(level, foliage);
+            keys(&before).iter().zip(keys(&after)).map(|(a, b)| *a == b).collect::<Vec<_>>()
+        };
+        // What stands around a model is no part of its own light; a tree that moves changes its fit.
+        let mut moved = level.clone();
+        moved.instances[0].world_from_object.translation.x += 0.5;
+        assert_eq!(same(&moved, &foliage), [true, true, false, false, true, false]);
+        moved = level.clone();
+        moved.instances[1].world_from_object.translation.x += 0.5;
+        assert_eq!(same(&moved, &foliage), [true, true, false, false, false, false]);
+        let mut other = foliage.clone();
+        other.models[0].scale = 2.0;
+        assert_eq!(same(&level, &other), [false, false, true, true, true, true]);
+        other = foliage.clone();
+        other.volume[1].voxels = Digest::of(b"more");
+        assert_eq!(same(&level, &other), [true, true, true, false, true, true]);
+        let mut blended = level.clone();
+        blended.output.blend = Some(vec![0.5, 0.5]);
+        assert_eq!(same(&blended, &foliage), [true, true, true, true, false, true]);
     }
 }

@@ -84,17 +84,15 @@ pub fn plan(
         return Err(PlanError::TooLarge { pieces: needed, limit: MAX_PIECES });
     }
     let surroundings = occluder_roots(level, reach);
-    let groups = surroundings.len();
     let mut planner = Planner { level, lane, graph: TaskGraph::new(level_digest, level), surroundings };
     planner.graph.tasks.reserve_exact(needed as usize + receivers().count());
     planner.graph.inputs.reserve_exact(needed as usize);
     let mut solve_of = vec![None; level.instances.len()];
     for (index, sampling) in sampling.iter().enumerate().filter(|(index, _)| gets_values(&&level.instances[*index])) {
-        let group = reach.group(index).filter(|group| *group < groups);
-        let group = group.ok_or(PlanError::InstanceCount { instances: level.instances.len(), sampled: index })?;
-        solve_of[index] = Some(planner.add_instance(index, sampling, group as u32));
+        let group = planner.surroundings_of(reach.group(index), index)?;
+        solve_of[index] = Some(planner.add_instance(index, sampling, group));
     }
-    planner.add_foliage(foliage, reach, &solve_of);
+    planner.add_foliage(foliage, reach, &solve_of)?;
     Ok(TaskGraph { surroundings: planner.surroundings, ..planner.graph })
 }
 
@@ -108,6 +106,13 @@ struct Planner<'a> {
 }
 
 impl Planner<'_> {
+    /// The surroundings of a group of receivers, which an instance must have.
+    fn surroundings_of(&self, group: Option<usize>, instance: usize) -> Result<u32, PlanError> {
+        let group = group.filter(|group| *group < self.surroundings.len());
+        let error = PlanError::InstanceCount { instances: self.level.instances.len(), sampled: instance };
+        group.map(|group| group as u32).ok_or(error)
+    }
+
     /// Adds the pieces of an instance that receives, and its solve, whose index it gives. The number of its group is that of
     /// its surroundings.
     fn add_instance(&mut self, index: usize, sampling: &InstanceSampling, group: u32) -> u32 {
@@ -200,14 +205,14 @@ fn solve_family(receiver: &Receiver, level: &Level, lane: &Lane) -> Digest {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use glam::DVec3;
     use kiln_core::{
         BakeSettings, Bounds, Instance, Kernel, LevelCounts, MeshEntry, Sampling, SkipRule, SolveSettings, TaskKey,
     };
 
-    fn level() -> Level {
+    pub(crate) fn level() -> Level {
         let mesh = |name: &str, face_count| MeshEntry {
             digest: Digest::of(name.as_bytes()),
             name: name.into(),
@@ -259,7 +264,7 @@ mod tests {
         with_foliage(level, &FoliagePlan::default())
     }
 
-    fn with_foliage(level: &Level, foliage: &FoliagePlan) -> TaskGraph {
+    pub(crate) fn with_foliage(level: &Level, foliage: &FoliagePlan) -> TaskGraph {
         let sampling: Vec<InstanceSampling> = level
             .instances
             .iter()
@@ -272,70 +277,6 @@ mod tests {
         let lane = Lane { trace: "cpu".into(), solve: "portable".into() };
         let seen: Vec<Bounds> = level.instances.iter().map(|i| seen(level, i)).collect();
         plan(Digest::default(), level, &lane, &sampling, foliage, &Reach::new(level, &seen)).unwrap()
-    }
-
-    /// Instance 1 a tree, instance 2 a shrub beside the wall.
-    fn planted() -> (Level, FoliagePlan) {
-        let mut level = level();
-        level.instances[1].gets = Gets::Global;
-        level.instances[2].gets = Gets::Scalar;
-        let sampling = InstanceSampling { density_per_m2: 2.0, piece_samples: vec![48] };
-        let batch = |first_brick| VolumePlan {
-            first_brick,
-            brick_count: 2,
-            voxel_count: 300,
-            voxels: Digest::of(&[first_brick as u8]),
-            trees: vec![1],
-        };
-        let foliage = FoliagePlan {
-            models: vec![ModelPlan { mesh: 1, instances: vec![1], scale: 1.0, sampling }],
-            volume: vec![batch(0), batch(2)],
-            runs: vec![RunPlan { first: 0, instances: vec![2], near: vec![0], ray_count: 1024 }],
-        };
-        (level, foliage)
-    }
-
-    #[test]
-    fn foliage_has_tasks_of_its_own() {
-        let (level, foliage) = planted();
-        let graph = with_foliage(&level, &foliage);
-        graph.check(Digest::default()).unwrap();
-        let kinds: Vec<TaskKind> = graph.tasks.iter().map(|task| task.work.kind()).collect();
-        use TaskKind::{Fit, Read, Solve, Trace, Volume};
-        assert_eq!(kinds, [Trace, Trace, Trace, Solve, Trace, Solve, Volume, Volume, Fit, Read]);
-        assert_eq!((graph.inputs_of(8), graph.inputs_of(9)), (&[5, 6, 7][..], &[3][..]));
-        let outputs: Vec<Output> = graph.tasks.iter().filter_map(|task| task.output).collect();
-        let scalars = Output::Scalars { first: 0, count: 1 };
-        assert_eq!(outputs, [Output::Solution { instance: 0 }, Output::Trees { mesh: 1 }, scalars]);
-        assert_eq!(graph.tasks[6].cost, 300 * 1024);
-    }
-
-    #[test]
-    fn tasks_of_foliage_know_what_they_depend_on() {
-        let (level, foliage) = planted();
-        let key = |graph: &TaskGraph, task: usize| graph.key(&graph.tasks[task], &[]);
-        let before = with_foliage(&level, &foliage);
-        let keys = |graph: &TaskGraph| (4..10).map(|task| key(graph, task)).collect::<Vec<_>>();
-        let same = |level: &Level, foliage: &FoliagePlan| {
-            let after = with_foliage(level, foliage);
-            keys(&before).iter().zip(keys(&after)).map(|(a, b)| *a == b).collect::<Vec<_>>()
-        };
-        // What stands around a model is no part of its own light; a tree that moves changes its fit.
-        let mut moved = level.clone();
-        moved.instances[0].world_from_object.translation.x += 0.5;
-        assert_eq!(same(&moved, &foliage), [true, true, false, false, true, false]);
-        moved = level.clone();
-        moved.instances[1].world_from_object.translation.x += 0.5;
-        assert_eq!(same(&moved, &foliage), [true, true, false, false, false, false]);
-        let mut other = foliage.clone();
-        other.models[0].scale = 2.0;
-        assert_eq!(same(&level, &other), [false, false, true, true, true, true]);
-        other = foliage.clone();
-        other.volume[1].voxels = Digest::of(b"more");
-        assert_eq!(same(&level, &other), [true, true, true, false, true, true]);
-        let mut blended = level.clone();
-        blended.output.blend = Some(vec![0.5, 0.5]);
-        assert_eq!(same(&blended, &foliage), [true, true, true, true, false, true]);
     }
 
     fn seen(level: &Level, instance: &Instance) -> Bounds {

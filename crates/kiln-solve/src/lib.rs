@@ -56,7 +56,6 @@ pub use lane::lane;
 pub use level::{LevelInstance, fill_unsampled};
 pub use system::{ComponentAnswer, ComponentSystem};
 pub use tree::{
-    AlternateParams, Alternated, ChannelErrors, GLOBAL_BOUND, HalfStep, ModelSample, ModelSamples, SampledLocal,
-    TreeError, TreeFit, TreeInstance, TreeModel, alternate, error_table, fit_blended, fit_global, fit_instance,
-    unit_position,
+    AlternateParams, Alternated, GLOBAL_BOUND, HalfStep, ModelSample, ModelSamples, SampledLocal, TreeError, TreeFit,
+    TreeInstance, TreeModel, alternate, error_table, fit_blended, fit_global, fit_instance, unit_position,
 };

@@ -11,7 +11,6 @@ use crate::{
     rays::{BUNDLE, Rays},
     triangle::{SeenTriangle, entry},
 };
-use glam::Vec3;
 
 /// What a thread traces bundles with. It is large; what it holds before does not matter.
 pub(crate) struct Workspace {
@@ -239,12 +238,7 @@ impl Leaves for SceneAlone<'_> {
         let instance = &self.scene.instances[first as usize];
         let mesh = &self.scene.meshes[instance.mesh as usize];
         let leaves = &mut MeshLeaves { triangles: mesh.triangles.words(), instance: first };
-        let ray = if instance.is_identity {
-            *ray
-        } else {
-            let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
-            TracedRay::new(instance.point(origin), instance.direction(direction))
-        };
+        let ray = instance.ray(ray);
         let nodes = &*mesh.nodes;
         V::compiled(alone::Walk::<_, ANY> { nodes, leaves, start: 0, ray: &ray, best, stack, bottom: top });
     }

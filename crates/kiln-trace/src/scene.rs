@@ -5,6 +5,7 @@ use crate::{
     boxed::Boxed,
     build::build,
     node::{BvhLink, WideNode},
+    ray::TracedRay,
 };
 use glam::{DAffine3, DVec3, Mat3, Vec3};
 use kiln_core::Bounds;
@@ -50,6 +51,16 @@ impl SceneInstance {
         let [x, y, z] = self.object_from_world;
         let row = [x[0] * d.x + x[1] * d.y + x[2] * d.z, y[0] * d.x + y[1] * d.y + y[2] * d.z];
         Vec3::new(row[0], row[1], z[0] * d.x + z[1] * d.y + z[2] * d.z)
+    }
+
+    /// A world-space ray in object space.
+    #[inline(always)]
+    pub(crate) fn ray(&self, ray: &TracedRay) -> TracedRay {
+        if self.is_identity {
+            return *ray;
+        }
+        let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
+        TracedRay::new(self.point(origin), self.direction(direction))
     }
 }
 

@@ -5,7 +5,7 @@
 //! `exp(−σ length)`, which falls with σ, so that the σ at which both are equal is found by halving.
 
 use glam::{DVec3, Vec3};
-use kiln_core::{Bounds, Class, Digest, FaceGroup, Foliage, Mesh};
+use kiln_core::{Bounds, Digest, FaceGroup, Foliage, Mesh};
 use kiln_trace::{
     CpuTracer, MeshBvh, Ray, Scene, SceneObject, SobolScramble, Tracer, cosine_direction, orthonormal_basis,
     sobol_point,
@@ -168,7 +168,7 @@ fn on_surface(half: DVec3, [u, v]: [f64; 2]) -> (DVec3, DVec3) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use kiln_core::Density;
+    use kiln_core::{Class, Density};
 
     fn mesh(triangles: &[[DVec3; 3]], given: Option<f64>) -> Mesh {
         let group = FaceGroup {

@@ -20,8 +20,8 @@ use crate::{
 };
 use glam::{DAffine3, DVec3, Vec3};
 use kiln_core::{
-    Attribute, BakeSettings, Bounds, Class, Digest, Instance, Level, LevelCounts, Mesh, MeshEntry, OutputSettings,
-    ValueFormat, codec,
+    Attribute, BakeSettings, Bounds, Class, Digest, Gets, Instance, Level, LevelCounts, Mesh, MeshEntry,
+    OutputSettings, ValueFormat, codec,
 };
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::collections::{BTreeMap, BTreeSet};
@@ -286,8 +286,7 @@ fn check_extent(file: &str, bounds: &Bounds) -> Result<(), SceneError> {
 
 /// Refuses a level whose output could not be a .glb file, before it is baked.
 fn check_output_size(file: &str, level_bytes: usize, level: &Level) -> Result<(), SceneError> {
-    let receiving = level.instances.iter().filter(|instance| instance.receives);
-    let vertices: u64 = receiving.map(|instance| u64::from(level.meshes[instance.mesh as usize].vertex_count)).sum();
+    let vertices = output_vertices(level);
     let bytes = vertices * bytes_per_vertex(&level.output, level.sampling.kernel.channel_count()) + level_bytes as u64;
     if bytes <= limits::GLB_BYTES {
         return Ok(());
@@ -300,6 +299,14 @@ fn check_output_size(file: &str, level_bytes: usize, level: &Level) -> Result<()
         limit: limits::GLB_BYTES,
         advice: "use --format u16, fewer half-distances, or split the level",
     })
+}
+
+/// Vertices that get values: of each instance, and of each model of trees once.
+fn output_vertices(level: &Level) -> u64 {
+    let of = |mesh: u32| u64::from(level.meshes[mesh as usize].vertex_count);
+    let receiving = |gets: Gets| level.instances.iter().filter(move |i| i.receives && i.gets == gets).map(|i| i.mesh);
+    let models: BTreeSet<u32> = receiving(Gets::Global).collect();
+    receiving(Gets::Vertices).chain(models).map(of).sum()
 }
 
 /// Least bytes of output for a vertex.

@@ -372,3 +372,18 @@ fn automatic_half_distances_follow_the_size() {
     let kernel = fixture.import().unwrap().level.sampling.kernel;
     assert_eq!(kernel, Kernel::Obscurance { half_distances_m: vec![0.04 * 16.0, 96.0] });
 }
+
+#[test]
+fn models_are_written_once() {
+    let mut fixture = Fixture::square();
+    for i in 0..5 {
+        fixture.root_node(
+            json!({ "name": format!("tree_{i}"), "mesh": 0, "translation": [2.0 * f64::from(i), 0.0, 0.0] }),
+        );
+    }
+    let vertices =
+        |rules: &str| super::output_vertices(&fixture.import_with(&BakeSettings::default(), rules).unwrap().level);
+    assert_eq!(vertices(""), 24);
+    assert_eq!(vertices("[[class]]\nmatch = 'tree*'\nclass = 'tree'\n"), 8);
+    assert_eq!(vertices("[[class]]\nmatch = 'tree*'\nclass = 'shrub'\n"), 4);
+}

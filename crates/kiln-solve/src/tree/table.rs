@@ -6,20 +6,8 @@ use super::{
     fit::{TreeFit, rmse},
     instance::{fit_global, fit_instance},
 };
+use kiln_core::TreeErrors;
 use rayon::prelude::*;
-
-/// Errors of one channel against the given signal, over all instances: roots of weighted means of squares.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ChannelErrors {
-    /// G alone, L = 1.
-    pub global_only: f64,
-    /// The model's own L times G.
-    pub local_global: f64,
-    /// L and G alternated.
-    pub alternated: f64,
-    /// The weight of the valid samples of all instances.
-    pub weight: f64,
-}
 
 /// Compares the three models with the instances' signals, for each channel. `alternated` is that of the same model and
 /// instances. Sums are in the order of the instances' keys.
@@ -30,7 +18,7 @@ pub fn error_table(
     model: &TreeModel<'_>,
     instances: &[TreeInstance<'_>],
     alternated: &Alternated,
-) -> Result<Vec<ChannelErrors>, TreeError> {
+) -> Result<Vec<TreeErrors>, TreeError> {
     model.check(instances)?;
     let (samples, channels) = (model.samples, model.channels);
     check_length("alternated fits", alternated.fits.len(), instances.len() * channels)?;
@@ -40,7 +28,7 @@ pub fn error_table(
     let global_only = each(&signals, |values| fit_global(samples, channels, values))?;
     let local_global = each(&signals, |values| fit_instance(samples, &local, values))?;
     let ordered: Vec<_> = order.iter().map(|j| alternated.fits[j * channels..][..channels].to_vec()).collect();
-    let errors = |channel: usize| ChannelErrors {
+    let errors = |channel: usize| TreeErrors {
         global_only: total_rmse(&global_only, channel),
         local_global: total_rmse(&local_global, channel),
         alternated: total_rmse(&ordered, channel),

@@ -89,10 +89,7 @@ impl BundleLeaves for Objects<'_> {
                     let ray = rest.trailing_zeros() as usize % BUNDLE;
                     rest &= rest - 1;
                     let in_box = InBox { min: *min, max: *max, t_max: hits.get(ray).t };
-                    let origin = place.point(rays.origin(ray));
-                    let Some(part) = in_box.part(&TracedRay::new(origin, place.direction(rays.direction(ray)))) else {
-                        continue;
-                    };
+                    let Some(part) = in_box.part(&place.ray(&rays.alone(ray))) else { continue };
                     if self.lost.go_through(ray, part, *rate) {
                         hits.stop(ray);
                     }
@@ -140,12 +137,7 @@ impl Leaves for ObjectsAlone<'_> {
         top: usize,
     ) {
         let Placed { place, what } = &self.foliage.objects[first as usize];
-        let seen = if place.is_identity {
-            *ray
-        } else {
-            let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
-            TracedRay::new(place.point(origin), place.direction(direction))
-        };
+        let seen = place.ray(ray);
         match what {
             What::Fog { min, max, rate } => {
                 if let Some(part) = (InBox { min: *min, max: *max, t_max: best.t }).part(&seen) {

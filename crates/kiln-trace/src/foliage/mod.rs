@@ -115,7 +115,8 @@ impl Foliage {
     /// Places objects. Those whose transform flattens them, boxes without volume and fog without density are left out. In mode
     /// [`FoliageMode::Geometry`] there are none, since the faces themselves stop rays.
     pub fn build(objects: &[FoliageObject], mode: FoliageMode) -> Self {
-        let placed: Vec<(Placed, Vec3, Vec3)> = objects.iter().filter_map(placed).collect();
+        let is_there = mode != FoliageMode::Geometry;
+        let placed: Vec<(Placed, Vec3, Vec3)> = objects.iter().filter(|_| is_there).filter_map(placed).collect();
         let boxed = |(index, (_, min, max)): (usize, &(Placed, Vec3, Vec3))| Boxed::new(index as u32, *min, *max);
         let tree = build(placed.iter().enumerate().map(boxed).collect(), 1);
         let mut nodes = tree.nodes;

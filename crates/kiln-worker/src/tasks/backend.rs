@@ -29,6 +29,11 @@ impl Backend {
         }
     }
 
+    /// The lane that traces a scene: the processor's where rays go through foliage.
+    pub fn lane_of(&self, scene: &Scene) -> String {
+        if scene.foliage().is_some() { Self::Cpu.lane() } else { self.lane() }
+    }
+
     /// A tracer over a scene. Where rays go through foliage it is the processor's, whatever the backend.
     pub fn tracer(&self, scene: &Arc<Scene>) -> Result<Arc<dyn Tracer>, GpuError> {
         Ok(match self {

@@ -43,7 +43,7 @@ pub(super) fn run(spec: &ExportSpec, level: &LoadedLevel, artefacts: &dyn Artefa
         numbers: &foliage.numbers(),
     };
     let exported = kiln_scene::export(&request).map_err(|error| TaskError::Refused { reason: error.to_string() })?;
-    let warnings = [level.level.warnings.clone(), filled, exported.warnings].concat();
+    let warnings = [level.level.warnings.clone(), filled, foliage.warnings(level), exported.warnings].concat();
     let baked = Baked {
         file: Digest::of(&exported.glb),
         bytes: exported.glb.len() as u64,

@@ -6,7 +6,7 @@ use kiln_bake::{
     ModelPoint, model_points, values_in_volume,
     volume::{Volume, VolumeBatch},
 };
-use kiln_core::{Digest, FitWork, InstanceNumbers, Mesh, Solution, TreeErrors, TreeFits, codec};
+use kiln_core::{Digest, FitWork, InstanceNumbers, Mesh, Solution, TreeFits, codec};
 use kiln_solve::{
     AlternateParams, Alternated, ModelSample, ModelSamples, TreeError, TreeInstance, TreeModel, alternate, error_table,
     fit_blended,
@@ -72,17 +72,11 @@ impl Fitting<'_> {
             Ok(InstanceNumbers::Global { channels: of_instance(&found, index), blend: blended })
         });
         let numbers = numbers.collect::<Result<_, TreeError>>()?;
-        let error = |of: &kiln_solve::ChannelErrors| TreeErrors {
-            global_only: of.global_only,
-            local_global: of.local_global,
-            alternated: of.alternated,
-            weight: of.weight,
-        };
         Ok(TreeFits {
             channels: channels as u32,
             local: found.local,
             numbers,
-            errors: errors.iter().map(error).collect(),
+            errors,
             trace: self.local.summary.trace,
             trace_lanes: self.local.summary.trace_lanes.clone(),
             voxels: volume.layout().voxel_count() as u64,

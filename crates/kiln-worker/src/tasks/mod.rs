@@ -60,7 +60,7 @@ impl BakeExecutor {
             }
             let tracer = level.tracer_by(backend, &self.bvhs, cache.as_ref())?;
             match &spec.work {
-                Work::Trace(piece) => trace::run(piece, &level, tracer, backend.lane()),
+                Work::Trace(piece) => trace::run(piece, &level, tracer, backend.lane_of(&tracer.0)),
                 Work::Volume(bricks) => volume::run(bricks, &level, tracer),
                 Work::Read(run) => read::run(run, &spec.inputs, &level, tracer, artefacts),
                 Work::Solve(_) | Work::Fit(_) => Err(TaskError::Failed { reason: "it does not trace".to_owned() }),

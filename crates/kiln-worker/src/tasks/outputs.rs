@@ -3,7 +3,8 @@
 use super::{LoadedLevel, out_of_range};
 use crate::{Artefacts, TaskError};
 use kiln_core::{
-    Digest, FoliageSummary, InstanceNumbers, ModelSummary, Output, RAYS_PER_VOXEL, TraceSummary, TreeFits, codec,
+    Digest, FoliageSummary, InstanceNumbers, ModelSummary, Output, RAYS_PER_VOXEL, TraceSummary, TreeFits, Warning,
+    codec,
 };
 use kiln_scene::{BakedModel, NumberedInstance};
 
@@ -86,19 +87,35 @@ impl FoliageOutputs {
         self.trees.first().map_or(0, |(.., fits)| fits.voxels)
     }
 
+    /// What is worth saying.
+    pub(super) fn warnings(&self, level: &LoadedLevel) -> Vec<Warning> {
+        let open: Vec<u32> = self.open_scalars().collect();
+        let Some(first) = open.first() else { return Vec::new() };
+        let (count, name) = (open.len() as u64, level.level.instances[*first as usize].name.clone());
+        let message = format!(
+            "{count} shrubs and decorators ({name} is one) have no baked surface around them, and count as open; \
+             bake what they stand on together with them, or give them another class"
+        );
+        vec![Warning { code: "open_scalars".into(), subject: name, message, count }]
+    }
+
+    /// Shrubs and decorators around which nothing has values.
+    fn open_scalars(&self) -> impl Iterator<Item = u32> {
+        let is_open = |numbers: &InstanceNumbers| matches!(numbers, InstanceNumbers::Scalar { is_open: true, .. });
+        self.scalars.iter().filter(move |(_, numbers)| is_open(numbers)).map(|(instance, _)| *instance)
+    }
+
     pub(super) fn summary(&self, level: &LoadedLevel) -> FoliageSummary {
         let model = |(mesh, instances, fits): &(u32, Vec<u32>, TreeFits)| ModelSummary {
             mesh: level.level.meshes[*mesh as usize].name.clone(),
             instances: instances.len() as u64,
             errors: fits.errors.clone(),
         };
-        let is_open =
-            |(_, numbers): &&(u32, InstanceNumbers)| matches!(numbers, InstanceNumbers::Scalar { is_open: true, .. });
         FoliageSummary {
             models: self.trees.iter().map(model).collect(),
             voxels: self.voxels(),
             scalars: self.scalars.len() as u64,
-            open_scalars: self.scalars.iter().filter(is_open).count() as u64,
+            open_scalars: self.open_scalars().count() as u64,
         }
     }
 }

@@ -41,7 +41,7 @@ pub(super) fn run_alone(task: &TraceWork, level: &LoadedLevel, backend: &Backend
         sampling: &level.level.sampling,
         occluders_m: Bounds::EMPTY,
     };
-    trace(&piece, (&scene, &tracer), backend.lane())
+    trace(&piece, (&scene, &tracer), backend.lane_of(&scene))
 }
 
 fn trace(

@@ -170,12 +170,7 @@ fn sphere(level: &Level, index: u32) -> Bounds {
 /// Where an instance that gets one number is read: around the middle of its box's bottom, as far as its box reaches.
 pub(super) fn decorator(level: &Level, index: u32) -> kiln_bake::Decorator {
     let instance = &level.instances[index as usize];
-    let bounds = level.meshes[instance.mesh as usize].bounds;
-    let mut world = Bounds::EMPTY;
-    for corner in 0..8 {
-        let at = DVec3::new(f64::from(corner & 1), f64::from(corner >> 1 & 1), f64::from(corner >> 2));
-        world.add(instance.world_from_object.transform_point3(bounds.min + at * (bounds.max - bounds.min)));
-    }
+    let world = kiln_bake::seen_bounds(&level.meshes[instance.mesh as usize].bounds, &instance.world_from_object);
     let anchor = DVec3::new(world.center().x, world.min.y, world.center().z);
     kiln_bake::Decorator::new(anchor, &world)
 }
