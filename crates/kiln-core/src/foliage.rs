@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum InstanceNumbers {
     /// The local AO of its model is to be multiplied by `y0 + y1 u + y2 v + y3 w`, u, v and w being the place within the
-    /// model's box ([`MeshEntry::bounds`]), each from −1 to 1 (Sloan et al. 2013, equation 3).
+    /// model's box ([`crate::MeshEntry::bounds`]), each from −1 to 1 (Sloan et al. 2013, equation 3).
     Global {
         /// y0 to y3 for each channel.
         channels: Vec<[f32; 4]>,
