@@ -11,7 +11,11 @@ use std::{
     panic::{AssertUnwindSafe, catch_unwind},
     path::PathBuf,
     sync::{PoisonError, RwLock, RwLockReadGuard},
+    time::{Duration, Instant},
 };
+
+/// How long a closed index may keep its lock, before it counts as a failure to open it again.
+const LOCK_PATIENCE: Duration = Duration::from_secs(5);
 
 /// Where an artefact is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -98,6 +102,8 @@ impl Changes {
 pub(crate) struct IndexFailure {
     /// It could not write, for want of space: it is not damaged.
     pub(crate) disk_full: bool,
+    /// Another open database has the lock of its files.
+    locked: bool,
     pub(crate) reason: String,
 }
 
@@ -122,7 +128,17 @@ impl Index {
     /// Opens the files that are there, or makes new ones.
     pub(crate) fn open(&self) -> Result<(), IndexFailure> {
         let config = sled::Config::new().path(&self.folder).cache_capacity(self.cache_bytes);
-        let database = guarded(|| config.open())?;
+        let begun = Instant::now();
+        let database = loop {
+            match guarded(|| config.open()) {
+                // The store's own lock keeps others out: this one is held by threads of a closed sled that still
+                // write what was flushed, or by a child that was forked and has not yet become its program.
+                Err(failure) if failure.locked && begun.elapsed() < LOCK_PATIENCE => {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                other => break other?,
+            }
+        };
         *self.database.write().unwrap_or_else(PoisonError::into_inner) = Some(database);
         Ok(())
     }
@@ -196,7 +212,7 @@ impl Index {
             self.database.read().unwrap_or_else(PoisonError::into_inner);
         match &*database {
             Some(database) => guarded(|| operation(database)),
-            None => Err(IndexFailure { disk_full: false, reason: "it is not open".to_owned() }),
+            None => Err(IndexFailure { disk_full: false, locked: false, reason: "it is not open".to_owned() }),
         }
     }
 }
@@ -208,11 +224,17 @@ fn guarded<T>(operation: impl FnOnce() -> sled::Result<T>) -> Result<T, IndexFai
         Ok(Err(error)) => {
             let disk_full = matches!(&error, sled::Error::Io(error)
                 if matches!(error.kind(), ErrorKind::StorageFull | ErrorKind::QuotaExceeded));
-            Err(IndexFailure { disk_full, reason: error.to_string() })
+            // sled wraps what the lock said in an error of its own, by text alone.
+            let reason = error.to_string();
+            Err(IndexFailure { disk_full, locked: reason.contains("could not acquire lock"), reason })
         }
         Err(panic) => {
             let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
-            Err(IndexFailure { disk_full: false, reason: format!("panic: {}", text.unwrap_or("unknown")) })
+            Err(IndexFailure {
+                disk_full: false,
+                locked: false,
+                reason: format!("panic: {}", text.unwrap_or("unknown")),
+            })
         }
     }
 }
@@ -250,6 +272,22 @@ mod tests {
         let mut found = Vec::new();
         index.for_each(|record| found.push(record)).unwrap();
         assert_eq!(found, records);
+    }
+
+    #[test]
+    fn a_lock_that_is_let_go_of_late_is_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let index = Index::new(folder.path().join("index"), 1 << 20);
+        index.open().unwrap();
+        let held = index.database.read().unwrap().clone();
+        index.close(false);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                std::thread::sleep(Duration::from_millis(50));
+                drop(held);
+            });
+            index.open().unwrap();
+        });
     }
 
     #[test]
