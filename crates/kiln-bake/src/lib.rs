@@ -3,8 +3,7 @@
 //! [`trace_piece`] is the whole of a trace task: it makes the samples of a run of faces (`samples`), leaves out
 //! those that need no ray, gathers the rest and sums what comes back into moments. [`density`] and [`sample_count`]
 //! say how many samples a face gets, for the plan. [`probe`] gathers at given points.
-//! [`read_decorators`] and [`resample_lod`] read a finished bake again (`resample`).
-//! say how many samples a face gets, for the plan. [`probe`] gathers at given points. [`volume`] is what is visible from
+//! [`read_decorators`] and [`resample_lod`] read a finished bake again (`resample`). [`volume`] is what is visible from
 //! points around trees, on a sparse lattice.
 
 mod density;
@@ -22,7 +21,7 @@ pub mod volume;
 
 pub use density::{FaceAreas, density, sample_count};
 pub use foliage::{ModelDensity, ModelFog, OrientedBox, model_fog, place_fog, thinned};
-pub use model::{ModelPoint, model_points, values_in_volume};
+pub use model::{ModelPoint, model_points, values_in_volume, values_traced};
 pub use piece::{Piece, trace_piece};
 pub use probe::{ProbePoint, ProbeResult, probe};
 pub use resample::{

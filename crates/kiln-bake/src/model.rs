@@ -1,11 +1,13 @@
 //! Points on a model, at which its instances are compared with the volume around them (Sloan et al. 2013, section 2.2).
 
 use crate::{
+    piece::valid_ao,
     samples::{Batch, SampleMaker},
     volume::Volume,
 };
 use glam::{DAffine3, DMat3, DVec3, Vec3};
-use kiln_core::Mesh;
+use kiln_core::{MAX_CHANNELS, Mesh, RAYS_PER_POINT, Sampling};
+use kiln_trace::{CosineSums, KernelRates, TraceError, Tracer};
 
 /// Points of a model, about.
 const POINTS: f64 = 2048.0;
@@ -84,6 +86,45 @@ pub fn values_in_volume(volume: &Volume, points: &[ModelPoint], world_from_objec
         values.extend(ao[..channels].iter().map(|ao| *ao as f32));
     }
     values
+}
+
+/// AO of an instance of a model at its points, `points × channels`, traced there by [`kiln_core::RAYS_PER_POINT`] rays a side;
+/// NaN where no side of a point is valid. What has two sides has the mean of those that are.
+///
+/// # Errors
+/// Those of the tracer.
+#[expect(clippy::cast_possible_truncation, reason = "values are f32")]
+pub fn values_traced(
+    tracer: &dyn Tracer,
+    mesh: &Mesh,
+    points: &[ModelPoint],
+    world_from_object: &DAffine3,
+    sampling: &Sampling,
+) -> Result<Vec<f32>, TraceError> {
+    let kernel = KernelRates::of(sampling);
+    let maker = SampleMaker::new(mesh, world_from_object, sampling.seed, RAYS_PER_POINT);
+    let mut batch = Batch::default();
+    let mut sides = Vec::with_capacity(points.len());
+    let (mut last, mut index) = (u32::MAX, 0);
+    for point in points {
+        index = if point.face == last { index + 1 } else { 0 };
+        last = point.face;
+        let before = batch.samples.len();
+        maker.position(point.face as usize, point.phi, index, &mut batch);
+        sides.push(batch.samples.len() - before);
+    }
+    let mut sums = vec![CosineSums::default(); batch.samples.len()];
+    tracer.gather_cosine(&batch.samples, &kernel, RAYS_PER_POINT, &mut sums)?;
+    let mut sums = sums.iter();
+    let mut values = Vec::with_capacity(points.len() * kernel.channels);
+    for sides in sides {
+        let valid: Vec<[f64; MAX_CHANNELS]> =
+            sums.by_ref().take(sides).filter_map(|sums| valid_ao(sums, sampling)).collect();
+        // 0 / 0 is NaN.
+        let mean = |channel: usize| valid.iter().map(|ao| ao[channel]).sum::<f64>() / valid.len() as f64;
+        values.extend((0..kernel.channels).map(|channel| mean(channel) as f32));
+    }
+    Ok(values)
 }
 
 #[cfg(test)]

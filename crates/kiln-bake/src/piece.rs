@@ -185,9 +185,14 @@ fn add_position(
     sampling: &Sampling,
     summary: &mut TraceSummary,
 ) {
-    let is_valid = |sums: &CosineSums| sums.rays > 0 && sums.back_face_fraction() <= sampling.back_face_limit;
-    let values = |sums: &CosineSums| is_valid(sums).then(|| std::array::from_fn(|channel| sums.ao(channel)));
-    summary.invalid += add_sides(half, position, sides.iter().map(values), kernel.channels);
+    let values = sides.iter().map(|sums| valid_ao(sums, sampling));
+    summary.invalid += add_sides(half, position, values, kernel.channels);
+}
+
+/// AO of a sample, unless it is invalid.
+pub(crate) fn valid_ao(sums: &CosineSums, sampling: &Sampling) -> Option<[f64; MAX_CHANNELS]> {
+    let is_valid = sums.rays > 0 && sums.back_face_fraction() <= sampling.back_face_limit;
+    is_valid.then(|| std::array::from_fn(|channel| sums.ao(channel)))
 }
 
 /// Adds the mean of a position's valid sides to its half's moments, and gives the number of those that are not valid.

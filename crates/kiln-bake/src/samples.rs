@@ -58,46 +58,79 @@ impl<'a> SampleMaker<'a> {
         if indices.is_empty() {
             return;
         }
+        let Some(surface) = self.surface(face, half) else { return };
+        let positions = self.key.face(self.mesh.corners(face)).scramble(half, Stream::Positions);
+        for index in indices {
+            let phi = barycentric(sobol_point(position_index(index), positions).map(f64::from));
+            surface.add(phi, index * self.rays_per_sample, batch);
+        }
+    }
+
+    /// Appends a given position on a face, the `index`th there; nothing if the face has no area in world space.
+    pub(crate) fn position(&self, face: usize, phi: [f64; 3], index: u32, batch: &mut Batch) {
+        if let Some(surface) = self.surface(face, 0) {
+            surface.add(phi, index * self.rays_per_sample, batch);
+        }
+    }
+
+    /// A face in world space; nothing if it has no area there.
+    fn surface(&self, face: usize, half: usize) -> Option<FaceInWorld> {
         let object = self.mesh.corners(face);
-        let world = object.map(|c| self.world_from_object.transform_point3(c.as_dvec3()));
-        let cross = (world[1] - world[0]).cross(world[2] - world[0]);
+        let corners = object.map(|c| self.world_from_object.transform_point3(c.as_dvec3()));
+        let cross = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
         let geometric = (cross * self.orientation).normalize_or_zero();
         if geometric == DVec3::ZERO {
-            return;
+            return None;
         }
         let [a, b, c] = object.map(Vec3::as_dvec3);
         let extent = (b - a).length().max((c - b).length()).max((a - c).length());
         // The bound grows with the coordinates, so that of their greatest on the face is one for all of its points.
-        let furthest = world.iter().fold(DVec3::ZERO, |most, corner| most.max(corner.abs()));
+        let furthest = corners.iter().fold(DVec3::ZERO, |most, corner| most.max(corner.abs()));
         let offset = geometric * self.error.bound(furthest, extent).dot(geometric.abs());
-        let normals = self.corner_normals(face);
         let key = self.key.face(object);
-        let positions = key.scramble(half, Stream::Positions);
-        let is_double_sided = self.mesh.group(face).double_sided;
-        let [front, back] = [Stream::FrontDirections, Stream::BackDirections].map(|stream| key.scramble(half, stream));
-        for index in indices {
-            let phi = barycentric(sobol_point(position_index(index), positions).map(f64::from));
-            let point = world[0] * phi[0] + world[1] * phi[1] + world[2] * phi[2];
-            let shading = shading_normal(&normals, phi, geometric);
-            let side = |sign: f64, scramble: SobolScramble| SurfaceSample {
-                origin: (point + offset * sign).as_vec3(),
-                normal: (shading * sign).as_vec3(),
-                geometric: (geometric * sign).as_vec3(),
-                scramble,
-                first_index: index * self.rays_per_sample,
-            };
-            batch.samples.push(side(1.0, front));
-            if is_double_sided {
-                batch.samples.push(side(-1.0, back));
-            }
-            batch.positions.push(Position { phi, sides: 1 + usize::from(is_double_sided) });
-        }
+        let directions = [Stream::FrontDirections, Stream::BackDirections].map(|stream| key.scramble(half, stream));
+        let (normals, is_double_sided) = (self.corner_normals(face), self.mesh.group(face).double_sided);
+        Some(FaceInWorld { corners, geometric, offset, normals, directions, is_double_sided })
     }
 
     /// The normals of a face's corners in world space, up to a common length, where all three have one.
     fn corner_normals(&self, face: usize) -> Option<[DVec3; 3]> {
         let normals = self.mesh.faces[face].map(|v| Vec3::from_array(self.mesh.normals[v as usize]).as_dvec3());
         (!normals.contains(&DVec3::ZERO)).then(|| normals.map(|normal| self.normal_matrix * normal))
+    }
+}
+
+/// What the samples of a face have in common.
+struct FaceInWorld {
+    corners: [DVec3; 3],
+    geometric: DVec3,
+    /// From the face to the origins of rays on its front.
+    offset: DVec3,
+    normals: Option<[DVec3; 3]>,
+    /// Of the front, and of the back.
+    directions: [SobolScramble; 2],
+    is_double_sided: bool,
+}
+
+impl FaceInWorld {
+    /// Appends a position.
+    fn add(&self, phi: [f64; 3], first_index: u32, batch: &mut Batch) {
+        let [a, b, c] = self.corners;
+        let point = a * phi[0] + b * phi[1] + c * phi[2];
+        let shading = shading_normal(&self.normals, phi, self.geometric);
+        let side = |sign: f64, scramble: SobolScramble| SurfaceSample {
+            origin: (point + self.offset * sign).as_vec3(),
+            normal: (shading * sign).as_vec3(),
+            geometric: (self.geometric * sign).as_vec3(),
+            scramble,
+            first_index,
+        };
+        let [front, back] = self.directions;
+        batch.samples.push(side(1.0, front));
+        if self.is_double_sided {
+            batch.samples.push(side(-1.0, back));
+        }
+        batch.positions.push(Position { phi, sides: 1 + usize::from(self.is_double_sided) });
     }
 }
 

@@ -1,6 +1,6 @@
 //! What foliage gets from a bake: numbers of instances, and the fits that they come from.
 
-use crate::{FitWork, ResultError, TraceSummary, work::check_range, work::check_size};
+use crate::{FitWork, PointsWork, ResultError, TraceSummary, work::check_range, work::check_size};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
@@ -41,6 +41,24 @@ impl InstanceNumbers {
     }
 }
 
+/// AO at the points of some instances of a model, as it was traced there.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PointValues {
+    /// `instances × points × channels`, each in [0, 1]; NaN where a point is invalid.
+    pub values: Vec<f32>,
+    /// Rays of all of them.
+    pub rays: u64,
+}
+
+impl PointValues {
+    pub(crate) fn check(&self, points: &PointsWork, channels: usize) -> Result<(), ResultError> {
+        let count = (points.count as usize).saturating_mul(points.point_count as usize).saturating_mul(channels);
+        check_size("values", self.values.len(), count)?;
+        let wrong = self.values.iter().filter(|value| !value.is_nan() && !(0.0..=1.0).contains(*value)).count();
+        check_size("values out of [0, 1]", wrong, 0)
+    }
+}
+
 /// What the fit of a model's instances gives.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TreeFits {
@@ -50,14 +68,16 @@ pub struct TreeFits {
     pub local: Vec<f32>,
     /// [`InstanceNumbers::Global`] of each instance that receives, in the level's order.
     pub numbers: Vec<InstanceNumbers>,
-    /// Errors against the volume for each channel.
+    /// Errors against what was fitted, for each channel.
     pub errors: Vec<TreeErrors>,
     /// Totals of tracing the model alone.
     pub trace: TraceSummary,
     /// The lanes that did.
     pub trace_lanes: BTreeSet<String>,
-    /// Voxels of the whole volume.
+    /// Voxels of the whole volume; 0 if the fit was to what was traced at points.
     pub voxels: u64,
+    /// Rays traced at points.
+    pub point_rays: u64,
 }
 
 /// Errors of a model's instances against the signal that they were fitted to, for one channel: roots of weighted means of
@@ -100,7 +120,16 @@ mod tests {
             trace: TraceSummary::default(),
             trace_lanes: BTreeSet::new(),
             voxels: 9,
+            point_rays: 0,
         }
+    }
+
+    #[test]
+    fn values_at_points_are_ao_or_invalid() {
+        let work = PointsWork { mesh: 0, first: 2, count: 2, point_count: 3 };
+        let of = |value: f32, count: usize| PointValues { values: vec![value; count], rays: 1 }.check(&work, 2).is_ok();
+        assert!(of(0.5, 12) && of(f32::NAN, 12));
+        assert!(!of(0.5, 11) && !of(1.5, 12) && !of(f32::INFINITY, 12));
     }
 
     #[test]

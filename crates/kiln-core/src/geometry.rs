@@ -20,11 +20,14 @@ pub enum Class {
     Shrub,
     /// A small decorator such as grass: stops nothing.
     Decorator,
+    /// A large object of which there are many: stops rays like ordinary geometry, but all its instances share one local AO.
+    Instanced,
 }
 
 impl Class {
     /// Every class.
-    pub const ALL: [Self; 6] = [Self::Opaque, Self::Distant, Self::Ignored, Self::Tree, Self::Shrub, Self::Decorator];
+    pub const ALL: [Self; 7] =
+        [Self::Opaque, Self::Distant, Self::Ignored, Self::Tree, Self::Shrub, Self::Decorator, Self::Instanced];
 }
 
 /// What faces of foliage do to rays.

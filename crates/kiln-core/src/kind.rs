@@ -16,26 +16,42 @@ pub enum TaskKind {
     Solve,
     /// Voxels around trees to what can be seen from them.
     Volume,
-    /// A model's local AO and the volume around its instances to four numbers for each of them.
+    /// Points on some instances of a model to what can be seen from them.
+    Points,
+    /// A model's local AO, and what its instances should have, to four numbers for each of them.
     Fit,
     /// Finished values around shrubs and decorators to one number for each of them.
     Read,
+    /// Finished values of a full-detail mesh to moments of the faces of a lower level of detail.
+    Resample,
     /// The outputs of a task graph to the baked file.
     Export,
 }
 
 impl TaskKind {
     /// Every kind, in the order of the data path.
-    pub const ALL: [Self; 8] =
-        [Self::Import, Self::Plan, Self::Trace, Self::Solve, Self::Volume, Self::Fit, Self::Read, Self::Export];
+    pub const ALL: [Self; 10] = [
+        Self::Import,
+        Self::Plan,
+        Self::Trace,
+        Self::Solve,
+        Self::Volume,
+        Self::Points,
+        Self::Fit,
+        Self::Read,
+        Self::Resample,
+        Self::Export,
+    ];
 
     /// Revision of the kind's code: raised whenever its output changes for some input, so that results of
     /// other revisions are never taken for its own. A golden test in the kind's crate fails otherwise.
     pub const fn kernel_rev(self) -> u32 {
         match self {
-            Self::Volume | Self::Fit | Self::Read => 1,
-            Self::Import | Self::Solve => 4,
-            Self::Plan | Self::Export => 5,
+            Self::Volume | Self::Points | Self::Read | Self::Resample => 1,
+            Self::Fit => 2,
+            Self::Solve => 4,
+            Self::Import => 5,
+            Self::Plan | Self::Export => 6,
             Self::Trace => 7,
         }
     }
@@ -48,8 +64,10 @@ impl TaskKind {
             Self::Trace => "trace",
             Self::Solve => "solve",
             Self::Volume => "volume",
+            Self::Points => "points",
             Self::Fit => "fit",
             Self::Read => "read",
+            Self::Resample => "resample",
             Self::Export => "export",
         }
     }
@@ -58,9 +76,10 @@ impl TaskKind {
     /// if they are the same everywhere.
     pub const fn lane_part(self) -> Option<LanePart> {
         match self {
-            Self::Trace | Self::Volume | Self::Read => Some(LanePart::Trace),
+            Self::Trace | Self::Volume | Self::Points | Self::Read => Some(LanePart::Trace),
             Self::Solve | Self::Fit => Some(LanePart::Solve),
-            Self::Import | Self::Plan | Self::Export => None,
+            // Levels of detail are resampled by the processor, whose hits are the same everywhere.
+            Self::Import | Self::Plan | Self::Resample | Self::Export => None,
         }
     }
 
@@ -130,8 +149,9 @@ mod tests {
         let needs = |lane: &Lane| TaskKind::ALL.map(|kind| lane.needed_by(kind).map(str::to_owned));
         let solve = Some("portable".to_owned());
         let cpu = Some("cpu".to_owned());
-        let expected = [None, None, cpu.clone(), solve.clone(), cpu.clone(), solve.clone(), cpu, None];
+        let expected =
+            [None, None, cpu.clone(), solve.clone(), cpu.clone(), cpu.clone(), solve.clone(), cpu, None, None];
         assert_eq!(needs(&lane), expected);
-        assert_eq!(needs(&mixed), [None, None, None, solve.clone(), None, solve, None, None]);
+        assert_eq!(needs(&mixed), [None, None, None, solve.clone(), None, None, solve, None, None, None]);
     }
 }

@@ -82,6 +82,9 @@ pub struct Instance {
     pub gets: Gets,
     /// The fog that stands for its shrub, if it has one.
     pub fog: Option<Fog>,
+    /// If it is a lower level of detail, the instances of the full detail that it stands for, ascending; else none. It is
+    /// drawn in their place only: it stops no rays, and nothing is traced for it.
+    pub lod_of: Vec<u32>,
 }
 
 /// What an instance gets from a bake.
@@ -90,13 +93,28 @@ pub enum Gets {
     /// Values at its own vertices.
     #[default]
     Vertices,
-    /// Numbers of its own by which the local AO of its model is multiplied: it has a tree.
+    /// Numbers of its own by which the local AO of its model is multiplied: it has a tree. They are fitted to the volume
+    /// around trees.
     Global,
+    /// Likewise, but fitted to what is traced at points on its own surface.
+    GlobalTraced,
     /// One number: it is made of shrubs and decorators only.
     Scalar,
 }
 
+impl Gets {
+    /// Whether it is numbers by which the local AO of the model is multiplied.
+    pub const fn is_global(self) -> bool {
+        matches!(self, Self::Global | Self::GlobalTraced)
+    }
+}
+
 impl Instance {
+    /// Whether it is a lower level of detail of others.
+    pub fn is_lod(&self) -> bool {
+        !self.lod_of.is_empty()
+    }
+
     /// Whether the transform mirrors, and so turns the winding of faces.
     pub fn is_mirrored(&self) -> bool {
         self.world_from_object.matrix3.determinant() < 0.0
@@ -139,4 +157,10 @@ pub struct LevelCounts {
     pub unique_faces: u64,
     /// Faces over all instances for each class.
     pub classes: BTreeMap<Class, u64>,
+    /// Instances that are lower levels of detail, which count nowhere else.
+    pub lod_instances: u64,
+    /// Their vertices.
+    pub lod_vertices: u64,
+    /// Their faces.
+    pub lod_faces: u64,
 }

@@ -21,7 +21,7 @@ mod task;
 mod work;
 
 pub use digest::{Digest, DigestBuilder, DigestStream, ParseDigestError};
-pub use foliage::{InstanceNumbers, TreeErrors, TreeFits};
+pub use foliage::{InstanceNumbers, PointValues, TreeErrors, TreeFits};
 pub use geometry::{Bounds, Class, Density, FaceGroup, Fog, Foliage, Mesh, OpticalDepth};
 pub use graph::{MAX_INPUTS, PlannedTask, TaskGraph};
 pub use graph_check::{GraphError, GraphProblem};
@@ -30,12 +30,13 @@ pub use level::{Gets, Instance, Level, LevelCounts, MeshEntry, VertexBlock, Warn
 pub use moments::{FaceMoments, HalfMoments, MomentsError, TraceSummary};
 pub use settings::{
     Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, FoliageMode, Kernel, MAX_CHANNELS, OutputSettings,
-    Quality, Remap, Sampling, SolveSettings, Target, ValueFormat,
+    Quality, Remap, Sampling, SolveSettings, Target, TreeValues, ValueFormat,
 };
 pub use skip::{REACH_EPSILON, SkipRule};
 pub use solution::{CoarseFace, CoarseFaces, ComponentMethod, ErrorEstimate, ErrorHistogram, Solution, SolveSummary};
-pub use summary::{BakeSummary, Baked, BeyondReach, FoliageSummary, MeshSummary, ModelSummary};
+pub use summary::{BakeSummary, Baked, BeyondReach, FoliageSummary, LodSummary, MeshSummary, ModelSummary};
 pub use task::{ExportSpec, JobId, PlanSpec, SourceFile, SourceManifest, TaskKey, TaskSpec, WorkSpec};
 pub use work::{
-    FitWork, Output, RAYS_PER_VOXEL, ReadWork, ResultError, SolveWork, TraceWork, VolumeWork, Work, WorkError,
+    FitWork, Output, PointsWork, RAYS_PER_POINT, RAYS_PER_VOXEL, ReadWork, ResampleWork, ResultError, SolveWork,
+    TraceWork, VolumeWork, Work, WorkError,
 };

@@ -149,6 +149,8 @@ pub struct BakeSettings {
     pub ground_plane: bool,
     /// What trees and shrubs do to rays.
     pub foliage: FoliageMode,
+    /// What the numbers of trees are fitted to.
+    pub trees: TreeValues,
     /// Drops faces with non-finite positions or indices out of range, instead of refusing the file.
     pub drop_bad_faces: bool,
     /// Gives values only to nodes, meshes or materials whose name matches.
@@ -176,6 +178,7 @@ impl Default for BakeSettings {
             regularization: DEFAULT_REGULARIZATION,
             ground_plane: false,
             foliage: FoliageMode::default(),
+            trees: TreeValues::default(),
             drop_bad_faces: false,
             only: None,
             seed: 0,
@@ -198,6 +201,17 @@ pub enum FoliageMode {
     Attenuate,
     /// Foliage is opaque geometry: what the other two stand for, where leaves have no holes.
     Geometry,
+}
+
+/// What the numbers of a tree's instances are fitted to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
+#[serde(rename_all = "lowercase")]
+pub enum TreeValues {
+    /// The volume of visibility around trees, whose rays all of them share (Sloan et al. 2013, section 2.2).
+    #[default]
+    Volume,
+    /// What is traced at points on the surface of each instance.
+    Traced,
 }
 
 /// When adaptive sampling has enough.

@@ -36,6 +36,8 @@ pub struct BakeSummary {
     pub meshes: Vec<MeshSummary>,
     /// What happened to foliage.
     pub foliage: FoliageSummary,
+    /// What happened to lower levels of detail.
+    pub lods: LodSummary,
     /// Import's and export's warnings.
     pub warnings: Vec<Warning>,
 }
@@ -53,6 +55,23 @@ pub struct FoliageSummary {
     pub open_scalars: u64,
 }
 
+/// What became of lower levels of detail that have values at their vertices.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Default)]
+pub struct LodSummary {
+    /// Instances.
+    pub instances: u64,
+    /// Their vertices.
+    pub vertices: u64,
+    /// Their faces.
+    pub faces: u64,
+    /// Points at which the full detail was read.
+    pub samples: u64,
+    /// Of these, those that found nothing to read.
+    pub invalid: u64,
+    /// Rays that read.
+    pub rays: u64,
+}
+
 /// One model of trees.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelSummary {
@@ -60,7 +79,9 @@ pub struct ModelSummary {
     pub mesh: String,
     /// Its instances that have numbers.
     pub instances: u64,
-    /// Errors against the volume around them, for each channel.
+    /// They were fitted to what was traced at points on their own surface, not to the volume around them.
+    pub traced: bool,
+    /// Errors against what they were fitted to, for each channel.
     pub errors: Vec<crate::TreeErrors>,
 }
 

@@ -4,7 +4,7 @@
 //! result, its message in `kiln-proto` and its arm in `kiln-worker`. Whoever plans, leases, stores or skips tasks
 //! treats all kinds alike.
 
-use crate::{FaceMoments, InstanceNumbers, MomentsError, Solution, TaskKind, TreeFits, codec};
+use crate::{FaceMoments, InstanceNumbers, MomentsError, PointValues, Solution, TaskKind, TreeFits, codec};
 use serde::{Deserialize, Serialize};
 
 /// What a task of a graph does, with all that a worker needs besides the level and the results of other tasks.
@@ -16,10 +16,15 @@ pub enum Work {
     Solve(SolveWork),
     /// Gives an encoded `kiln_bake::volume::VolumeBatch`; takes nothing.
     Volume(VolumeWork),
-    /// Gives encoded [`TreeFits`]; takes the [`Solution`] of its model alone, then all batches of the volume.
+    /// Gives encoded [`PointValues`]; takes nothing.
+    Points(PointsWork),
+    /// Gives encoded [`TreeFits`]; takes the [`Solution`] of its model alone, then all batches of the volume, or the values
+    /// at the points of all its instances.
     Fit(FitWork),
     /// Gives an encoded `Vec<InstanceNumbers>`; takes the solutions of the instances around.
     Read(ReadWork),
+    /// Gives encoded [`FaceMoments`], as a trace does; takes the solutions of the instances that it stands for.
+    Resample(ResampleWork),
 }
 
 /// One piece of an instance to be traced: a run of its faces. Its cost is the rays that it will need at most.
@@ -51,6 +56,9 @@ pub struct SolveWork {
 /// Rays of each voxel of the volume around trees (Sloan et al. 2013, section 4).
 pub const RAYS_PER_VOXEL: u32 = 1024;
 
+/// Rays of each point on an instance of a model.
+pub const RAYS_PER_POINT: u32 = 256;
+
 /// Some bricks of the volume around a level's trees. Its cost is the rays of their voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VolumeWork {
@@ -58,6 +66,19 @@ pub struct VolumeWork {
     pub first_brick: u32,
     /// Bricks, at least one.
     pub brick_count: u32,
+}
+
+/// What can be seen from the points of some instances of a model. Its cost is the rays of their points.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PointsWork {
+    /// Index of the model's mesh in the level.
+    pub mesh: u32,
+    /// The first of the model's instances that receive.
+    pub first: u32,
+    /// How many of them, at least one.
+    pub count: u32,
+    /// Points of each.
+    pub point_count: u32,
 }
 
 /// The fit of all instances of one model of trees. Its cost is their vertices.
@@ -78,6 +99,20 @@ pub struct ReadWork {
     pub first: u32,
     /// How many, at least one.
     pub count: u32,
+}
+
+/// One piece of a lower level of detail: a run of its faces, to be read from the full-detail mesh. Its cost is its samples,
+/// about.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ResampleWork {
+    /// Index of the instance.
+    pub instance: u32,
+    /// First face of the piece.
+    pub first_face: u32,
+    /// Faces of the piece, at least one.
+    pub face_count: u32,
+    /// Samples per square metre of the instance, finite and not negative.
+    pub density_per_m2: f64,
 }
 
 /// What an output of a graph is to the export.
@@ -152,15 +187,22 @@ impl Work {
             Self::Trace(_) => TaskKind::Trace,
             Self::Solve(_) => TaskKind::Solve,
             Self::Volume(_) => TaskKind::Volume,
+            Self::Points(_) => TaskKind::Points,
             Self::Fit(_) => TaskKind::Fit,
             Self::Read(_) => TaskKind::Read,
+            Self::Resample(_) => TaskKind::Resample,
         }
     }
 
     /// Checks the fields on their own, without the level: what comes from a peer is not believed.
     pub fn check(&self) -> Result<(), WorkError> {
         match self {
-            Self::Trace(piece) => piece.check(),
+            Self::Trace(TraceWork { first_face, face_count, density_per_m2, .. })
+            | Self::Resample(ResampleWork { first_face, face_count, density_per_m2, .. }) => {
+                check_run("face_count", *first_face, *face_count)?;
+                check_density(*density_per_m2)
+            }
+            Self::Points(PointsWork { first, count, .. }) => check_run("count", *first, *count),
             Self::Volume(VolumeWork { first_brick, brick_count }) => {
                 check_run("brick_count", *first_brick, *brick_count)
             }
@@ -177,10 +219,22 @@ impl Work {
     pub fn takes(&self, input: &Self) -> bool {
         match (self, input) {
             (Self::Solve(solve), Self::Trace(piece)) => (piece.instance, piece.alone) == (solve.instance, solve.alone),
+            (Self::Solve(solve), Self::Resample(piece)) => !solve.alone && piece.instance == solve.instance,
+            (Self::Resample(piece), Self::Solve(solve)) => !solve.alone && piece.instance != solve.instance,
+            (Self::Fit(fit), Self::Points(points)) => points.mesh == fit.mesh,
             (Self::Fit(_), Self::Solve(solve)) => solve.alone,
             (Self::Fit(_), Self::Volume(_)) => true,
             (Self::Read(_), Self::Solve(solve)) => !solve.alone,
-            (Self::Trace(_) | Self::Solve(_) | Self::Volume(_) | Self::Fit(_) | Self::Read(_), _) => false,
+            (
+                Self::Trace(_)
+                | Self::Solve(_)
+                | Self::Volume(_)
+                | Self::Points(_)
+                | Self::Fit(_)
+                | Self::Read(_)
+                | Self::Resample(_),
+                _,
+            ) => false,
         }
     }
 
@@ -188,11 +242,12 @@ impl Work {
     /// and their numbers make sense. The result of a task of a graph is one artefact, which names no others.
     pub fn check_result(&self, channels: usize, bytes: &[u8]) -> Result<(), ResultError> {
         match self {
-            Self::Trace(piece) => {
+            Self::Trace(TraceWork { face_count, .. }) | Self::Resample(ResampleWork { face_count, .. }) => {
                 let moments = FaceMoments::from_bytes(bytes)?;
-                check_size("faces", moments.face_count(), piece.face_count as usize)?;
+                check_size("faces", moments.face_count(), *face_count as usize)?;
                 check_size("channels", moments.channel_count(), channels)
             }
+            Self::Points(points) => codec::decode::<PointValues>("values at points", bytes)?.check(points, channels),
             Self::Solve(solve) => check_solution(solve.vertex_count as usize, channels, bytes),
             // Its own crate checks all of it when it is read.
             Self::Volume(_) => check_size("empty results", usize::from(bytes.is_empty()), 0),
@@ -213,16 +268,12 @@ pub(crate) fn check_range(what: &'static str, numbers: &[f32]) -> Result<(), Res
     }
 }
 
-impl TraceWork {
-    fn check(&self) -> Result<(), WorkError> {
-        let Self { first_face, face_count, density_per_m2, .. } = *self;
-        check_run("face_count", first_face, face_count)?;
-        if !(density_per_m2 >= 0.0 && density_per_m2.is_finite()) {
-            let problem = format!("is {density_per_m2}; it must be finite and not negative");
-            return Err(WorkError { field: "density_per_m2", problem });
-        }
-        Ok(())
+fn check_density(density_per_m2: f64) -> Result<(), WorkError> {
+    if density_per_m2 >= 0.0 && density_per_m2.is_finite() {
+        return Ok(());
     }
+    let problem = format!("is {density_per_m2}; it must be finite and not negative");
+    Err(WorkError { field: "density_per_m2", problem })
 }
 
 /// A run of things that are numbered, at least one.
@@ -263,6 +314,8 @@ mod tests {
             let works = [
                 Work::Volume(VolumeWork { first_brick: first, brick_count: count }),
                 Work::Read(ReadWork { first, count }),
+                Work::Points(PointsWork { mesh: 0, first, count, point_count: 5 }),
+                Work::Resample(ResampleWork { instance: 0, first_face: first, face_count: count, density_per_m2: 1.0 }),
                 Work::Trace(TraceWork {
                     instance: 0,
                     first_face: first,
@@ -273,7 +326,7 @@ mod tests {
             ];
             works.map(|work| work.check().is_ok())
         };
-        assert_eq!((run(7, 1), run(7, 0), run(u32::MAX, 1)), ([true; 3], [false; 3], [false; 3]));
+        assert_eq!((run(7, 1), run(7, 0), run(u32::MAX, 1)), ([true; 5], [false; 5], [false; 5]));
         let fit = |instance_count| Work::Fit(FitWork { mesh: 0, vertex_count: 3, instance_count }).check().is_ok();
         assert!(fit(1) && !fit(0));
     }

@@ -4,8 +4,12 @@
 use crate::{InstanceSampling, PlanError, Planner, Reach, Receiver, add_place, pieces, solve_family, trace_family};
 use glam::{DAffine3, DVec3};
 use kiln_core::{
-    Digest, DigestBuilder, FitWork, Output, PlannedTask, ReadWork, SolveWork, TaskKind, TraceWork, VolumeWork, Work,
+    Digest, DigestBuilder, FitWork, Output, PlannedTask, PointsWork, ReadWork, SolveWork, TaskKind, TraceWork,
+    VolumeWork, Work,
 };
+
+/// Rays of one task of points, about: as many as a piece's.
+const POINT_RAYS: u64 = 1 << 19;
 
 /// What of a level's foliage needs tasks.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -29,6 +33,8 @@ pub struct ModelPlan {
     pub scale: f64,
     /// How it is sampled then.
     pub sampling: InstanceSampling,
+    /// If its instances are fitted to what is traced on them, its points; else they are fitted to the volume.
+    pub points: Option<u32>,
 }
 
 /// Some bricks of the volume around trees.
@@ -71,7 +77,11 @@ impl Planner<'_> {
         let locals: Vec<u32> = plan.models.iter().map(|model| self.add_local(model)).collect();
         let volume: Vec<u32> = plan.volume.iter().map(|batch| self.add_batch(batch, reach)).collect();
         for (model, local) in plan.models.iter().zip(locals) {
-            self.add_fit(model, local, &volume);
+            let values = match model.points {
+                Some(point_count) => self.add_points(model, point_count, reach)?,
+                None => volume.clone(),
+            };
+            self.add_fit(model, local, &values);
         }
         plan.runs.iter().try_for_each(|run| self.add_run(run, reach, solve_of))
     }
@@ -125,7 +135,34 @@ impl Planner<'_> {
         self.graph.add(PlannedTask { surroundings, ..task }, [])
     }
 
-    fn add_fit(&mut self, model: &ModelPlan, local: u32, volume: &[u32]) {
+    /// Points on the instances of a model, as many together as make a task, all with the same surroundings.
+    fn add_points(&mut self, model: &ModelPlan, point_count: u32, reach: &Reach) -> Result<Vec<u32>, PlanError> {
+        let mesh = &self.level.meshes[model.mesh as usize];
+        let rays_of_one = u64::from(point_count) * u64::from(kiln_core::RAYS_PER_POINT);
+        let most = usize::try_from(POINT_RAYS / rays_of_one.max(1)).unwrap_or(1).max(1);
+        let group = |index: &u32| reach.group(*index as usize);
+        let (mut tasks, mut first) = (Vec::new(), 0);
+        for same in model.instances.chunk_by(|a, b| group(a) == group(b)) {
+            let surroundings = Some(self.surroundings_of(group(&same[0]), same[0] as usize)?);
+            for instances in same.chunks(most) {
+                let s = &self.level.sampling;
+                let mut family = DigestBuilder::new("kiln points family");
+                family.integer(u64::from(TaskKind::Points.kernel_rev())).text(&self.lane.trace).digest(&mesh.digest);
+                for instance in instances {
+                    add_place(&mut family, &self.level.instances[*instance as usize].world_from_object);
+                }
+                family.value(&s.kernel).float(s.back_face_limit).integer(s.seed).value(&s.foliage).value(&s.no_skip);
+                let count = instances.len() as u32;
+                let work = Work::Points(PointsWork { mesh: model.mesh, first, count, point_count });
+                let task = PlannedTask::new(work, family.finish(), u64::from(count) * rays_of_one);
+                tasks.push(self.graph.add(PlannedTask { surroundings, ..task }, []));
+                first += count;
+            }
+        }
+        Ok(tasks)
+    }
+
+    fn add_fit(&mut self, model: &ModelPlan, local: u32, values: &[u32]) {
         let mesh = &self.level.meshes[model.mesh as usize];
         let mut family = DigestBuilder::new("kiln fit family");
         family.integer(u64::from(TaskKind::Fit.kernel_rev())).text(&self.lane.solve).digest(&mesh.digest);
@@ -140,7 +177,7 @@ impl Planner<'_> {
         let cost = u64::from(instances) * u64::from(mesh.vertex_count);
         let output = Some(Output::Trees { mesh: model.mesh });
         let task = PlannedTask { output, ..PlannedTask::new(Work::Fit(work), family.finish(), cost) };
-        self.graph.add(task, std::iter::once(local).chain(volume.iter().copied()));
+        self.graph.add(task, std::iter::once(local).chain(values.iter().copied()));
     }
 
     fn add_run(&mut self, run: &RunPlan, reach: &Reach, solve_of: &[Option<u32>]) -> Result<(), PlanError> {
@@ -188,7 +225,7 @@ mod tests {
             trees: vec![1],
         };
         let foliage = FoliagePlan {
-            models: vec![ModelPlan { mesh: 1, instances: vec![1], scale: 1.0, sampling }],
+            models: vec![ModelPlan { mesh: 1, instances: vec![1], scale: 1.0, sampling, points: None }],
             volume: vec![batch(0), batch(2)],
             runs: vec![RunPlan { first: 0, instances: vec![2], near: vec![0], ray_count: 1024 }],
         };
@@ -208,6 +245,24 @@ mod tests {
         let scalars = Output::Scalars { first: 0, count: 1 };
         assert_eq!(outputs, [Output::Solution { instance: 0 }, Output::Trees { mesh: 1 }, scalars]);
         assert_eq!(graph.tasks[6].cost, 300 * 1024);
+    }
+
+    #[test]
+    fn what_is_traced_on_a_tree_takes_the_place_of_the_volume() {
+        let (level, mut foliage) = planted();
+        foliage.models[0].points = Some(100);
+        foliage.volume.clear();
+        let graph = with_foliage(&level, &foliage);
+        graph.check(Digest::default()).unwrap();
+        let kinds: Vec<TaskKind> = graph.tasks.iter().map(|task| task.work.kind()).collect();
+        use TaskKind::{Fit, Points, Read, Solve, Trace};
+        assert_eq!(kinds, [Trace, Trace, Trace, Solve, Trace, Solve, Points, Fit, Read]);
+        assert_eq!(graph.inputs_of(7), [5, 6]);
+        assert_eq!(graph.tasks[6].cost, 100 * u64::from(kiln_core::RAYS_PER_POINT));
+        let mut moved = level.clone();
+        moved.instances[0].world_from_object.translation.x += 0.5;
+        let key = |graph: &TaskGraph| graph.key(&graph.tasks[6], &[]);
+        assert_ne!(key(&with_foliage(&moved, &foliage)), key(&graph));
     }
 
     #[test]

@@ -7,6 +7,7 @@
 
 mod boxes;
 mod foliage;
+mod lods;
 mod reach;
 
 pub use foliage::{FoliagePlan, ModelPlan, RunPlan, VolumePlan};
@@ -78,6 +79,7 @@ pub fn plan(
     }
     let gets_values = |i: &&Instance| i.receives && i.gets == Gets::Vertices;
     let receivers = || level.instances.iter().filter(gets_values);
+    let is_traced = |index: &usize| gets_values(&&level.instances[*index]) && !level.instances[*index].is_lod();
     let count = |i: &Instance| u64::from(level.meshes[i.mesh as usize].face_count.div_ceil(FACES_PER_PIECE));
     let needed: u64 = receivers().map(count).sum();
     if needed > MAX_PIECES {
@@ -88,11 +90,16 @@ pub fn plan(
     planner.graph.tasks.reserve_exact(needed as usize + receivers().count());
     planner.graph.inputs.reserve_exact(needed as usize);
     let mut solve_of = vec![None; level.instances.len()];
-    for (index, sampling) in sampling.iter().enumerate().filter(|(index, _)| gets_values(&&level.instances[*index])) {
+    for (index, sampling) in sampling.iter().enumerate().filter(|(index, _)| is_traced(index)) {
         let group = planner.surroundings_of(reach.group(index), index)?;
         solve_of[index] = Some(planner.add_instance(index, sampling, group));
     }
     planner.add_foliage(foliage, reach, &solve_of)?;
+    for (index, sampling) in sampling.iter().enumerate().filter(|(index, _)| !is_traced(index)) {
+        if gets_values(&&level.instances[index]) {
+            planner.add_lod(index, sampling, &solve_of);
+        }
+    }
     Ok(TaskGraph { surroundings: planner.surroundings, ..planner.graph })
 }
 
@@ -233,6 +240,7 @@ pub(crate) mod tests {
             receives: true,
             gets: Gets::Vertices,
             fog: None,
+            lod_of: Vec::new(),
         };
         Level {
             origin_m: DVec3::ZERO,

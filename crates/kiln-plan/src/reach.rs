@@ -3,7 +3,7 @@
 
 use crate::boxes::{BoxTree, gap};
 use glam::DVec3;
-use kiln_core::{Bounds, Level};
+use kiln_core::{Bounds, Instance, Level};
 use std::collections::BTreeMap;
 
 /// Part of all lengths and coordinates that are involved by which the reach is taken to be greater: far more than what
@@ -31,7 +31,10 @@ impl Reach {
     /// there.
     pub fn new(level: &Level, seen_m: &[Bounds]) -> Self {
         let reach_m = level.sampling.reach_m();
-        let tree = BoxTree::new(seen_m);
+        // Lower levels of detail stop no rays.
+        let occluder = |(instance, seen): (&Instance, &Bounds)| if instance.is_lod() { Bounds::EMPTY } else { *seen };
+        let occluders: Vec<Bounds> = level.instances.iter().zip(seen_m).map(occluder).collect();
+        let tree = BoxTree::new(&occluders);
         let mut groups = Vec::new();
         let mut known: BTreeMap<[u64; 6], usize> = BTreeMap::new();
         let mut group = |seen: &Bounds| {

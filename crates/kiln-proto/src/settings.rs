@@ -6,7 +6,7 @@ use crate::{
 };
 use kiln_core::{
     Attribute, BakeSettings, ColorMode, FoliageMode, MAX_CHANNELS, OutputSettings, Quality, Remap, SkipRule,
-    ValueFormat,
+    TreeValues, ValueFormat,
 };
 use std::collections::BTreeSet;
 
@@ -34,6 +34,11 @@ impl From<&BakeSettings> for v1::BakeSettings {
             regularization: Some(settings.regularization),
             ground_plane: settings.ground_plane,
             foliage: v1::FoliageMode::from(settings.foliage).into(),
+            trees: match settings.trees {
+                TreeValues::Volume => v1::TreeValues::Volume,
+                TreeValues::Traced => v1::TreeValues::Traced,
+            }
+            .into(),
             drop_bad_faces: settings.drop_bad_faces,
             only: settings.only.clone(),
             seed: settings.seed,
@@ -60,6 +65,11 @@ impl TryFrom<v1::BakeSettings> for BakeSettings {
             v1::FoliageMode::Expected => FoliageMode::Expected,
             v1::FoliageMode::Attenuate => FoliageMode::Attenuate,
             v1::FoliageMode::Geometry => FoliageMode::Geometry,
+        };
+        let trees = match settings.trees() {
+            v1::TreeValues::Unspecified => default.trees,
+            v1::TreeValues::Volume => TreeValues::Volume,
+            v1::TreeValues::Traced => TreeValues::Traced,
         };
         at_most("half_distances_m", settings.half_distances_m.len(), MAX_CHANNELS)?;
         for (i, &half_distance_m) in settings.half_distances_m.iter().enumerate() {
@@ -98,6 +108,7 @@ impl TryFrom<v1::BakeSettings> for BakeSettings {
             regularization: in_range("regularization", regularization, 0.0..=f64::MAX)?,
             ground_plane: settings.ground_plane,
             foliage,
+            trees,
             drop_bad_faces: settings.drop_bad_faces,
             only: settings.only,
             seed: settings.seed,
@@ -280,6 +291,7 @@ mod tests {
             BakeSettings {
                 quality: quality.0,
                 foliage: quality.2,
+                trees: if n.3 { TreeValues::Traced } else { TreeValues::Volume },
                 no_skip: quality.1.into_iter().collect(),
                 rays_per_sample: n.0.map(|bits| 1 << bits),
                 max_samples_per_face: n.1,

@@ -5,7 +5,8 @@ use crate::{
     limits, v1,
 };
 use kiln_core::{
-    ExportSpec, FitWork, Lane, PlanSpec, ReadWork, SolveWork, TaskKind, TaskSpec, TraceWork, VolumeWork, Work, WorkSpec,
+    ExportSpec, FitWork, Lane, PlanSpec, PointsWork, ReadWork, ResampleWork, SolveWork, TaskKind, TaskSpec, TraceWork,
+    VolumeWork, Work, WorkSpec,
 };
 
 impl From<TaskKind> for v1::TaskKind {
@@ -18,6 +19,8 @@ impl From<TaskKind> for v1::TaskKind {
             TaskKind::Volume => Self::Volume,
             TaskKind::Fit => Self::Fit,
             TaskKind::Read => Self::Read,
+            TaskKind::Points => Self::Points,
+            TaskKind::Resample => Self::Resample,
             TaskKind::Export => Self::Export,
         }
     }
@@ -35,6 +38,8 @@ impl TryFrom<v1::TaskKind> for TaskKind {
             v1::TaskKind::Volume => Ok(Self::Volume),
             v1::TaskKind::Fit => Ok(Self::Fit),
             v1::TaskKind::Read => Ok(Self::Read),
+            v1::TaskKind::Points => Ok(Self::Points),
+            v1::TaskKind::Resample => Ok(Self::Resample),
             v1::TaskKind::Export => Ok(Self::Export),
             v1::TaskKind::Unspecified => Err(FieldError::new("kind", "is missing or unknown")),
         }
@@ -131,6 +136,17 @@ impl From<&Work> for v1::work_task::Work {
                 Self::Fit(v1::FitWork { mesh: *mesh, vertex_count: *vertex_count, instance_count: *instance_count })
             }
             Work::Read(ReadWork { first, count }) => Self::Read(v1::ReadWork { first: *first, count: *count }),
+            Work::Points(PointsWork { mesh, first, count, point_count }) => {
+                Self::Points(v1::PointsWork { mesh: *mesh, first: *first, count: *count, point_count: *point_count })
+            }
+            Work::Resample(ResampleWork { instance, first_face, face_count, density_per_m2 }) => {
+                Self::Resample(v1::ResampleWork {
+                    instance: *instance,
+                    first_face: *first_face,
+                    face_count: *face_count,
+                    density_per_m2: *density_per_m2,
+                })
+            }
         }
     }
 }
@@ -154,6 +170,13 @@ impl TryFrom<v1::work_task::Work> for Work {
                 Self::Fit(FitWork { mesh, vertex_count, instance_count })
             }
             v1::work_task::Work::Read(v1::ReadWork { first, count }) => Self::Read(ReadWork { first, count }),
+            v1::work_task::Work::Points(v1::PointsWork { mesh, first, count, point_count }) => {
+                Self::Points(PointsWork { mesh, first, count, point_count })
+            }
+            v1::work_task::Work::Resample(work) => {
+                let v1::ResampleWork { instance, first_face, face_count, density_per_m2 } = work;
+                Self::Resample(ResampleWork { instance, first_face, face_count, density_per_m2 })
+            }
         };
         let name = work.kind().name();
         work.check().map_err(|error| FieldError::new(format!("{name}.{}", error.field), error.problem))?;
@@ -186,7 +209,15 @@ mod tests {
         let fit = numbers()
             .prop_map(|(mesh, vertex_count, instance_count)| Work::Fit(FitWork { mesh, vertex_count, instance_count }));
         let read = numbers().prop_map(|(first, count, _)| Work::Read(ReadWork { first, count }));
-        prop_oneof![trace, solve, volume, fit, read]
+        let points = (any::<u32>(), numbers()).prop_map(|(mesh, (first, count, point_count))| {
+            Work::Points(PointsWork { mesh, first, count, point_count })
+        });
+        let resample = (any::<u32>(), numbers(), 0.0..1e9f64).prop_map(
+            |(instance, (first_face, face_count, _), density_per_m2)| {
+                Work::Resample(ResampleWork { instance, first_face, face_count, density_per_m2 })
+            },
+        );
+        prop_oneof![trace, solve, volume, fit, read, points, resample]
     }
 
     fn any_spec() -> impl Strategy<Value = TaskSpec> {

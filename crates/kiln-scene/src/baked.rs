@@ -9,6 +9,7 @@ use crate::{
     extensions::check_required,
     findings::Findings,
     json::Item,
+    lods::Lods,
     material::{Material, materials},
     mesh::{Primitive, Topology},
     scene::{Placement, placements},
@@ -21,7 +22,8 @@ use kiln_core::FaceGroup;
 pub struct BakedScene {
     /// Half-distances that the file records, metres; empty if it records none.
     pub half_distances_m: Vec<f64>,
-    /// One for each primitive with triangles of each visible node, in the order of the hierarchy.
+    /// One for each primitive with triangles of each visible node, in the order of the hierarchy; lower levels of detail
+    /// are not drawn.
     pub parts: Vec<BakedPart>,
     /// Why some primitives without `_AO` are not among the parts: they can't be read. A bake leaves such geometry
     /// alone where it is ignored or flattened.
@@ -64,7 +66,9 @@ pub fn read_baked(name: &str, files: &dyn SourceFiles) -> Result<BakedScene, Sce
     check_required(&document)?;
     let materials = materials(&document)?;
     let (mut parts, mut unreadable, mut nodes) = (Vec::new(), Vec::new(), Columns::new());
-    for placement in placements(&document, &mut Findings::default())? {
+    let lods = Lods::find(&document, &[], &mut Findings::default())?;
+    let placed = placements(&document, &lods, &mut Findings::default())?;
+    for placement in placed.into_iter().filter(|placement| placement.lod_of.is_none()) {
         let Some(mesh) = document.list("meshes")?.get(placement.mesh) else { continue };
         for (index, primitive) in mesh.list("primitives")?.iter().enumerate() {
             match read_part(&document, &placement, &mesh, (index as u32, &primitive), &materials, &mut nodes) {

@@ -12,17 +12,18 @@ const DISTANT_SAMPLES_PER_FACE: u32 = 4;
 /// What each face of a tree keeps whose rule says nothing (Sloan et al. 2013, section 2.1).
 const TRANSMITTANCE_PER_CROSSING: f64 = 0.5;
 
-const CLASSES: [(&str, Class); 6] = [
+const CLASSES: [(&str, Class); 7] = [
     ("opaque", Class::Opaque),
     ("distant", Class::Distant),
     ("ignored", Class::Ignored),
     ("tree", Class::Tree),
     ("shrub", Class::Shrub),
     ("decorator", Class::Decorator),
+    ("instanced", Class::Instanced),
 ];
 
 /// Classes of the design that nothing computes yet.
-const LATER: [&str; 2] = ["instanced", "dynamic"];
+const LATER: [&str; 1] = ["dynamic"];
 
 /// Finds a class by its name; the error says what is wrong and what to do.
 pub(crate) fn parse_class(name: &str) -> Result<Class, (String, String)> {
@@ -41,7 +42,7 @@ pub(crate) fn parse_class(name: &str) -> Result<Class, (String, String)> {
 /// The class that an object of the document gives itself.
 pub(crate) fn class_from_extras(item: &Item<'_>) -> Result<Option<Class>, SceneError> {
     let Some(class) = item.get("extras").and_then(|e| e.get("kiln")?.get("class")) else { return Ok(None) };
-    let advice = "use opaque, distant, ignored, tree, shrub or decorator";
+    let advice = "use opaque, distant, instanced, ignored, tree, shrub or decorator";
     parse_class(class.string()?).map(Some).map_err(|(problem, _)| class.invalid_with(problem, advice))
 }
 

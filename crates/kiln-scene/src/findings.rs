@@ -29,6 +29,10 @@ pub(crate) enum Finding {
     InstancingExpanded,
     ExternalImages,
     ExtrasNotAnObject,
+    SharedLods,
+    MissingLods,
+    UnusedLodRule,
+    LodsOfNothing,
 }
 
 impl Finding {
@@ -55,6 +59,10 @@ impl Finding {
             Self::InstancingExpanded => "instancing_expanded",
             Self::ExternalImages => "external_images",
             Self::ExtrasNotAnObject => "extras_not_an_object",
+            Self::SharedLods => "shared_lods",
+            Self::MissingLods => "missing_lods",
+            Self::UnusedLodRule => "unused_lod_rule",
+            Self::LodsOfNothing => "lods_of_nothing",
         }
     }
 
@@ -83,6 +91,13 @@ impl Finding {
             }
             Self::ExternalImages => ("image in a file of its own", "put it at the same place beside the output"),
             Self::ExtrasNotAnObject => ("asset.extras that is no object", "kept, so that nothing is recorded there"),
+            Self::SharedLods => ("node that is a level of detail of two others", "it has the values of the first"),
+            Self::MissingLods => ("level of detail that a rule names", "there is no other node of that name"),
+            Self::UnusedLodRule => ("lod rule", "it links no nodes"),
+            Self::LodsOfNothing => (
+                "level of detail whose full detail has nothing to be read",
+                "left out of the bake; the output keeps it",
+            ),
         }
     }
 }

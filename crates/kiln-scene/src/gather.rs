@@ -18,7 +18,7 @@ use crate::{
     sidecar::ClassRule,
 };
 use globset::GlobMatcher;
-use kiln_core::{Attribute, Class, FaceGroup, FoliageMode, Gets, Instance, OutputSettings};
+use kiln_core::{Attribute, Class, FaceGroup, FoliageMode, Gets, Instance, OutputSettings, TreeValues};
 use std::collections::{BTreeSet, HashMap};
 
 /// A mesh as some instances need it.
@@ -27,8 +27,10 @@ pub(crate) struct Variant<'d> {
     pub(crate) name: String,
     /// Its primitives with triangles that are not ignored, at least one.
     pub(crate) primitives: Vec<Primitive<'d>>,
-    /// Indices of the instances in [`Gathered::instances`].
+    /// Indices of the instances in [`Gathered::instances`], lower levels of detail apart.
     pub(crate) instances: Vec<usize>,
+    /// Indices of the lower levels of detail that have it.
+    pub(crate) lods: Vec<usize>,
 }
 
 /// What a bake needs.
@@ -46,6 +48,7 @@ pub(crate) struct Rules<'r> {
     /// `--only`.
     pub(crate) only: Option<GlobMatcher>,
     pub(crate) foliage: FoliageMode,
+    pub(crate) trees: TreeValues,
     pub(crate) output: &'r OutputSettings,
 }
 
@@ -64,11 +67,13 @@ pub(crate) fn gather<'d>(
         variant_of: HashMap::new(),
         used_rules: BTreeSet::new(),
         totals: Totals::default(),
+        fulls: Vec::new(),
         gathered: Gathered { variants: Vec::new(), instances: Vec::new(), ignored_faces: 0 },
     };
-    for placement in placements {
-        gatherer.place(placement, findings)?;
+    for placement in placements.iter().filter(|placement| placement.lod_of.is_none()) {
+        gatherer.place(placement, None, findings)?;
     }
+    gatherer.place_lods(placements, findings)?;
     for (index, rule) in rules.classes.iter().enumerate() {
         findings.add(Finding::UnusedRule, &rule.pattern, u64::from(!gatherer.used_rules.contains(&index)));
     }
@@ -108,11 +113,52 @@ struct Gatherer<'d, 'b, 'r> {
     variant_of: HashMap<(usize, Groups), usize>,
     used_rules: BTreeSet<usize>,
     totals: Totals,
+    /// For each instance the nodes at or above it that have lower levels of detail.
+    fulls: Vec<Vec<usize>>,
     gathered: Gathered<'d>,
 }
 
 impl<'d> Gatherer<'d, '_, '_> {
-    fn place(&mut self, placement: &Placement, findings: &mut Findings) -> Result<(), SceneError> {
+    /// Places the lower levels of detail, now that all that they stand for is there.
+    fn place_lods(&mut self, placements: &[Placement], findings: &mut Findings) -> Result<(), SceneError> {
+        let levels = || placements.iter().filter(|placement| placement.lod_of.is_some());
+        let mut instances_of: HashMap<usize, Vec<u32>> = HashMap::new();
+        for (index, fulls) in self.fulls.iter().enumerate() {
+            fulls.iter().for_each(|full| instances_of.entry(*full).or_default().push(index as u32));
+        }
+        let mut count_at: HashMap<usize, usize> = HashMap::new();
+        levels().for_each(|placement| *count_at.entry(placement.node).or_default() += 1);
+        for placement in levels() {
+            let of_node = placement.lod_of.and_then(|full| instances_of.get(&full)).map_or(&[][..], Vec::as_slice);
+            // As many instances of EXT_mesh_gpu_instancing as the full detail has: each stands for one of them.
+            let is_paired =
+                |index: &&u32| self.gathered.instances[**index as usize].gpu_instance == placement.gpu_instance;
+            let is_many = placement.gpu_instance.is_some() && count_at[&placement.node] == of_node.len();
+            let lod_of: Vec<u32> = of_node.iter().filter(|index| !is_many || is_paired(index)).copied().collect();
+            self.place(placement, Some(lod_of), findings)?;
+        }
+        Ok(())
+    }
+
+    /// What a lower level of detail gets: what the full detail does, of whose instances those are left that it is read from.
+    fn lod(&self, instance: &mut Instance, lod_of: Vec<u32>) -> bool {
+        let full = |index: &u32| &self.gathered.instances[*index as usize];
+        let receiving: Vec<u32> = lod_of.into_iter().filter(|index| full(index).receives).collect();
+        let gets = |gets: Gets| receiving.iter().any(|index| full(index).gets == gets);
+        let order = [Gets::GlobalTraced, Gets::Global, Gets::Vertices, Gets::Scalar];
+        let Some(found) = order.into_iter().find(|kind| gets(*kind)) else { return false };
+        instance.gets = found;
+        instance.lod_of = receiving.iter().copied().filter(|index| full(index).gets == found).collect();
+        true
+    }
+
+    /// `lod_of` has the instances of the full detail if it is a lower level.
+    fn place(
+        &mut self,
+        placement: &Placement,
+        lod_of: Option<Vec<u32>>,
+        findings: &mut Findings,
+    ) -> Result<(), SceneError> {
         let nodes = self.document.list("nodes")?;
         let Some(node) = nodes.get(placement.node) else { return Ok(()) };
         let node_name = name_of(&node, "node", placement.node);
@@ -130,10 +176,18 @@ impl<'d> Gatherer<'d, '_, '_> {
             node: placement.node as u32,
             gpu_instance: placement.gpu_instance,
             world_from_object: placement.world_from_object,
-            receives: groups.iter().flatten().any(|group| group.receives) && self.is_wanted(&node_name, placement.mesh),
-            gets: gets(self.rules.foliage, &groups),
+            receives: groups.iter().flatten().any(|group| group.receives)
+                && (lod_of.is_some() || self.is_wanted(&node_name, placement.mesh)),
+            gets: gets(self.rules, &groups),
             fog: None,
+            lod_of: Vec::new(),
         };
+        if let Some(lod_of) = lod_of
+            && !(instance.receives && self.lod(&mut instance, lod_of))
+        {
+            findings.add(Finding::LodsOfNothing, &node_name, 1);
+            return Ok(());
+        }
         if instance.is_flat() {
             findings.add(Finding::FlatInstances, &node_name, 1);
             return Ok(());
@@ -144,8 +198,13 @@ impl<'d> Gatherer<'d, '_, '_> {
         }
         let variant = self.variant(placement.mesh, groups, findings)?;
         instance.mesh = variant as u32;
-        self.gathered.variants[variant].instances.push(self.gathered.instances.len());
+        if instance.is_lod() {
+            self.gathered.variants[variant].lods.push(self.gathered.instances.len());
+        } else {
+            self.gathered.variants[variant].instances.push(self.gathered.instances.len());
+        }
         self.gathered.instances.push(instance);
+        self.fulls.push(placement.fulls.clone());
         Ok(())
     }
 
@@ -238,20 +297,31 @@ impl<'d> Gatherer<'d, '_, '_> {
             primitives.push(opened);
         }
         self.totals.check(&source.item, &primitives)?;
-        let variant = Variant { source_mesh: mesh, name: source.name.clone(), primitives, instances: Vec::new() };
+        let variant = Variant {
+            source_mesh: mesh,
+            name: source.name.clone(),
+            primitives,
+            instances: Vec::new(),
+            lods: Vec::new(),
+        };
         self.gathered.variants.push(variant);
         self.variant_of.insert(key, self.gathered.variants.len() - 1);
         Ok(self.gathered.variants.len() - 1)
     }
 }
 
-/// What an instance gets: values at its vertices, unless it is foliage.
-fn gets(mode: FoliageMode, groups: &Groups) -> Gets {
+/// What an instance gets: values at its vertices, unless it is foliage, or all of it is instanced.
+fn gets(rules: &Rules<'_>, groups: &Groups) -> Gets {
     let mut classes = groups.iter().flatten().filter(|group| group.receives).map(|group| group.class);
-    if mode == FoliageMode::Geometry {
+    if rules.foliage == FoliageMode::Geometry {
         Gets::Vertices
+    } else if classes.clone().all(|class| class == Class::Instanced) {
+        Gets::GlobalTraced
     } else if classes.clone().any(|class| class == Class::Tree) {
-        Gets::Global
+        match rules.trees {
+            TreeValues::Volume => Gets::Global,
+            TreeValues::Traced => Gets::GlobalTraced,
+        }
     } else if classes.all(|class| matches!(class, Class::Shrub | Class::Decorator)) {
         Gets::Scalar
     } else {

@@ -10,6 +10,7 @@ use crate::{
     instancing::{GpuInstances, unit},
     json::{Item, List},
     limits,
+    lods::Lods,
 };
 use glam::{DAffine3, DMat3, DQuat, DVec3};
 use std::collections::BTreeSet;
@@ -25,26 +26,61 @@ pub(crate) struct Placement {
     pub(crate) mesh: usize,
     /// From object space to the file's world, metres.
     pub(crate) world_from_object: DAffine3,
+    /// The full-detail node of which this is part of a lower level.
+    pub(crate) lod_of: Option<usize>,
+    /// The nodes at or above it that have lower levels.
+    pub(crate) fulls: Vec<usize>,
 }
 
-/// Every visible mesh of the scene, in the order of the hierarchy (parents first, children in their order).
-pub(crate) fn placements(document: &Document<'_>, findings: &mut Findings) -> Result<Vec<Placement>, SceneError> {
+/// A node that is to be visited.
+struct Visit {
+    node: usize,
+    world_from_parent: DAffine3,
+    lod_of: Option<usize>,
+    fulls: Vec<usize>,
+}
+
+/// Every visible mesh of the scene, in the order of the hierarchy (parents first, children in their order), and those of lower
+/// levels of detail where they stand.
+pub(crate) fn placements(
+    document: &Document<'_>,
+    lods: &Lods,
+    findings: &mut Findings,
+) -> Result<Vec<Placement>, SceneError> {
     let nodes = document.list("nodes")?;
     let parents = parents(&nodes)?;
     check_forest(&nodes, &parents)?;
-    let mut stack: Vec<(usize, DAffine3)> =
-        roots(document, &nodes, &parents, findings)?.into_iter().rev().map(|node| (node, DAffine3::IDENTITY)).collect();
+    let roots = roots(document, &nodes, &parents, lods, findings)?;
+    let is_root: BTreeSet<usize> = roots.iter().copied().collect();
+    let with_levels: BTreeSet<usize> = lods.full_nodes().collect();
+    let visit = |node| Visit { node, world_from_parent: DAffine3::IDENTITY, lod_of: None, fulls: Vec::new() };
+    let mut stack: Vec<Visit> = roots.into_iter().rev().map(visit).collect();
     let mut placements = Vec::new();
-    while let Some((index, world_from_parent)) = stack.pop() {
+    while let Some(Visit { node: index, world_from_parent, lod_of, mut fulls }) = stack.pop() {
         let Some(node) = nodes.get(index) else { continue };
         if !is_visible(&node)? {
             continue;
         }
-        let world = world_from_parent * local_transform(&node)?;
-        place_mesh(document, &node, index, world, &mut placements)?;
-        for child in node.list("children")?.iter().collect::<Vec<_>>().iter().rev() {
-            stack.push((child.index()?, world));
+        let lod_of = lod_of.or(lods.full_of(index));
+        if with_levels.contains(&index) {
+            fulls.push(index);
         }
+        if lod_of.is_none() {
+            let elsewhere =
+                lods.levels_of(index).iter().rev().filter(|l| parents[**l].is_none() && !is_root.contains(l));
+            stack.extend(elsewhere.map(|&level| Visit {
+                node: level,
+                world_from_parent,
+                lod_of: Some(index),
+                fulls: Vec::new(),
+            }));
+        }
+        let world = world_from_parent * local_transform(&node)?;
+        for child in node.list("children")?.iter().collect::<Vec<_>>().iter().rev() {
+            stack.push(Visit { node: child.index()?, world_from_parent: world, lod_of, fulls: fulls.clone() });
+        }
+        let place = Placement { node: index, gpu_instance: None, mesh: 0, world_from_object: world, lod_of, fulls };
+        place_mesh(document, &node, &place, &mut placements)?;
     }
     if document.root().extension("CESIUM_RTC").is_some() {
         findings.add(Finding::RelativeToCenter, document.root().file(), 1);
@@ -97,6 +133,7 @@ fn roots(
     document: &Document<'_>,
     nodes: &List<'_>,
     parents: &[Option<usize>],
+    lods: &Lods,
     findings: &mut Findings,
 ) -> Result<Vec<usize>, SceneError> {
     let scenes = document.list("scenes")?;
@@ -107,8 +144,8 @@ fn roots(
     };
     let Some(scene) = scene else {
         findings.add(Finding::NoDefaultScene, document.root().file(), scenes.len() as u64);
-        let lods = lod_nodes(nodes)?;
-        return Ok((0..nodes.len()).filter(|node| parents[*node].is_none() && !lods.contains(node)).collect());
+        let is_level = |node: &usize| lods.full_of(*node).is_some();
+        return Ok((0..nodes.len()).filter(|node| parents[*node].is_none() && !is_level(node)).collect());
     };
     let mut roots = Vec::new();
     let mut seen = BTreeSet::new();
@@ -123,19 +160,6 @@ fn roots(
         roots.push(node);
     }
     Ok(roots)
-}
-
-/// Nodes that are lower levels of detail of others (MSFT_lod), which are drawn in their place only.
-fn lod_nodes(nodes: &List<'_>) -> Result<BTreeSet<usize>, SceneError> {
-    let mut lods = BTreeSet::new();
-    for node in nodes.iter() {
-        if let Some(extension) = node.extension("MSFT_lod") {
-            for id in extension.list("ids")?.iter() {
-                lods.insert(id.index()?);
-            }
-        }
-    }
-    Ok(lods)
 }
 
 fn is_visible(node: &Item<'_>) -> Result<bool, SceneError> {
@@ -169,14 +193,15 @@ fn local_transform(node: &Item<'_>) -> Result<DAffine3, SceneError> {
     Ok(DAffine3::from_scale_rotation_translation(scale, rotation, translation))
 }
 
-/// Adds the placements of a node's mesh, if it has one.
+/// Adds the placements of a node's mesh, if it has one: like `place`, but for the mesh and what EXT_mesh_gpu_instancing makes
+/// of it.
 fn place_mesh<'d>(
     document: &'d Document<'_>,
     node: &Item<'d>,
-    index: usize,
-    world: DAffine3,
+    place: &Placement,
     placements: &mut Vec<Placement>,
 ) -> Result<(), SceneError> {
+    let (index, world) = (place.node, place.world_from_object);
     let Some(reference) = node.get("mesh") else { return Ok(()) };
     let (mesh, _) = document.list("meshes")?.resolve(&reference)?;
     let room = limits::INSTANCES - placements.len() as u64;
@@ -188,7 +213,7 @@ fn place_mesh<'d>(
                 "correct the transforms of the node and its parents",
             ));
         }
-        placements.push(Placement { node: index, gpu_instance, mesh, world_from_object });
+        placements.push(Placement { gpu_instance, mesh, world_from_object, ..place.clone() });
         Ok(())
     };
     let Some(instances) = GpuInstances::read(document, node, room)? else {

@@ -139,7 +139,10 @@ const PIECES_OF_SMALL_SOLVE: usize = 4;
 
 fn size(spec: &TaskSpec) -> TaskSize {
     match spec {
-        TaskSpec::Work(WorkSpec { work: Work::Trace(_) | Work::Volume(_) | Work::Read(_), .. }) => TaskSize::Small,
+        TaskSpec::Work(WorkSpec {
+            work: Work::Trace(_) | Work::Volume(_) | Work::Points(_) | Work::Read(_) | Work::Resample(_),
+            ..
+        }) => TaskSize::Small,
         TaskSpec::Work(WorkSpec { work: Work::Solve(_), inputs, .. }) if inputs.len() <= PIECES_OF_SMALL_SOLVE => {
             TaskSize::Small
         }

@@ -20,7 +20,8 @@ pub fn place_fog<'m>(level: &mut Level, mesh: impl Fn(usize) -> Option<&'m Mesh>
         .into_par_iter()
         .map(|index| mesh(index).and_then(|mesh| model_fog(mesh, level.meshes[index].digest)))
         .collect();
-    let shrubs = level.instances.iter_mut().filter_map(|instance| {
+    // Lower levels of detail are not there for rays.
+    let shrubs = level.instances.iter_mut().filter(|instance| !instance.is_lod()).filter_map(|instance| {
         let model = models.get(instance.mesh as usize)?.as_ref()?;
         Some((instance, model))
     });

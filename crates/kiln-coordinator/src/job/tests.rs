@@ -99,6 +99,7 @@ pub(crate) fn baked() -> Baked {
         error: Vec::new(),
         meshes: Vec::new(),
         foliage: kiln_core::FoliageSummary::default(),
+        lods: kiln_core::LodSummary::default(),
         warnings: Vec::new(),
     };
     Baked { file: Digest::of(b"glb"), bytes: 3, summary }

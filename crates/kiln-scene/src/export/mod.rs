@@ -19,6 +19,8 @@ use crate::{
     findings::{Finding, Findings},
     glb::{Glb, GlbError},
     limits,
+    lods::Lods,
+    scene::placements,
 };
 pub(crate) use assign::RESIDUAL;
 use assign::assign;
@@ -112,6 +114,7 @@ pub fn export(request: &ExportRequest<'_>) -> Result<Exported, SceneError> {
     let mut binary = Binary::merge(&document, &mut root)?;
     assign(&document, request.level, &targets, &models, &mut root, &mut binary, &mut findings)?;
     numbers::write(&document, request.level, request.numbers, &mut root, &mut binary)?;
+    write_links(&document, request.level, &mut root)?;
     record(request, &mut root, &mut findings);
     findings.add(Finding::ExternalImages, request.level_name, external_image_count(&document));
     let bytes = binary.finish(&mut root);
@@ -119,6 +122,24 @@ pub fn export(request: &ExportRequest<'_>) -> Result<Exported, SceneError> {
     let glb = Glb { json: &json, bin: bytes.as_deref(), other: document.other_chunks.clone(), bytes_after_end: 0 };
     let glb = glb.write().map_err(|error| too_long(&document, &error))?;
     Ok(Exported { glb, warnings: findings.into_warnings() })
+}
+
+/// Records at lower levels of detail that nothing in the document links what they stand for, so that readers of the output
+/// know without the sidecar.
+fn write_links(document: &Document<'_>, level: &Level, root: &mut Value) -> Result<(), SceneError> {
+    let lods = Lods::find(document, &[], &mut Findings::default())?;
+    let linked: BTreeSet<usize> = placements(document, &lods, &mut Findings::default())?
+        .into_iter()
+        .filter(|placement| placement.lod_of.is_some())
+        .map(|placement| placement.node)
+        .collect();
+    for instance in level.instances.iter().filter(|instance| !linked.contains(&(instance.node as usize))) {
+        let Some(full) = instance.lod_of.first().and_then(|full| level.instances.get(*full as usize)) else { continue };
+        if let Some(kiln) = numbers::kiln_of(&mut root["nodes"][instance.node as usize]) {
+            kiln["lod_of"] = json!(full.node);
+        }
+    }
+    Ok(())
 }
 
 fn too_long(document: &Document<'_>, error: &GlbError) -> SceneError {

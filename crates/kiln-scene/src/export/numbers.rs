@@ -93,7 +93,7 @@ fn write_extras(node: &mut Value, numbers: &InstanceNumbers) {
 }
 
 /// `extras.kiln` of an object, made if it isn't there; `None` where the extras are no object.
-fn kiln_of(object: &mut Value) -> Option<&mut Value> {
+pub(super) fn kiln_of(object: &mut Value) -> Option<&mut Value> {
     let extras = &mut object["extras"];
     if extras.is_null() {
         *extras = json!({});

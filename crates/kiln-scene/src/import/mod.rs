@@ -14,6 +14,7 @@ use crate::{
     gather::{Gathered, Rules, Variant, gather},
     import::recentre::recentre,
     limits,
+    lods::Lods,
     mesh::{Built, Tally, build},
     resolve::{Resolved, check, only, origin, resolve},
     scene::placements,
@@ -65,9 +66,16 @@ pub fn import(
 
     let mut findings = Findings::default();
     findings.add(Finding::BytesAfterEnd, level_name, document.bytes_after_end as u64);
-    let placements = placements(&document, &mut findings)?;
+    let lods = Lods::find(&document, &sidecar.lods, &mut findings)?;
+    let placements = placements(&document, &lods, &mut findings)?;
     let only = only(settings)?;
-    let rules = Rules { classes: &sidecar.classes, only, foliage: settings.foliage, output: &settings.output };
+    let rules = Rules {
+        classes: &sidecar.classes,
+        only,
+        foliage: settings.foliage,
+        trees: settings.trees,
+        output: &settings.output,
+    };
     let gathered = gather(&document, &placements, &rules, &mut findings)?;
     check_only(settings, &gathered)?;
 
@@ -242,6 +250,13 @@ fn assemble(
         instance.mesh = mesh as u32;
         instance.world_from_object.translation -= origin_m;
         instance.world_from_object.translation += instance.world_from_object.matrix3 * centers[mesh];
+        if instance.is_lod() {
+            counts.lod_instances += 1;
+            counts.lod_vertices += u64::from(entries[mesh].vertex_count);
+            counts.lod_faces += u64::from(entries[mesh].face_count);
+            instances.push(instance);
+            continue;
+        }
         counts.instances += 1;
         counts.vertices += u64::from(entries[mesh].vertex_count);
         counts.faces += u64::from(entries[mesh].face_count);
@@ -304,9 +319,9 @@ fn check_output_size(file: &str, level_bytes: usize, level: &Level) -> Result<()
 /// Vertices that get values: of each instance, and of each model of trees once.
 fn output_vertices(level: &Level) -> u64 {
     let of = |mesh: u32| u64::from(level.meshes[mesh as usize].vertex_count);
-    let receiving = |gets: Gets| level.instances.iter().filter(move |i| i.receives && i.gets == gets).map(|i| i.mesh);
-    let models: BTreeSet<u32> = receiving(Gets::Global).collect();
-    receiving(Gets::Vertices).chain(models).map(of).sum()
+    let receiving = || level.instances.iter().filter(|instance| instance.receives);
+    let models: BTreeSet<u32> = receiving().filter(|i| i.gets.is_global()).map(|i| i.mesh).collect();
+    receiving().filter(|i| i.gets == Gets::Vertices).map(|i| i.mesh).chain(models).map(of).sum()
 }
 
 /// Least bytes of output for a vertex.

@@ -13,6 +13,10 @@
 //! # transmittance_per_crossing = 0.5 (tree)
 //! # density_per_m = 0.3              (shrub; derived from its mesh if absent)
 //!
+//! [[lod]]                           # lower levels of detail, where the glTF has no MSFT_lod
+//! node = "*_lod0"                   # name of the full-detail node; at most one `*`
+//! levels = ["*_lod1", "*_lod2"]     # `*` stands for what it stands for in `node`
+//!
 //! [gates]                           # a bake that misses one ends with exit code 4
 //! max_rmse = 0.006
 //! max_invalid_fraction = 0.05
@@ -31,14 +35,15 @@ use table::{Entry, Table};
 /// Channels of a bake whose half-distances are found from the level's size.
 const AUTOMATIC_CHANNELS: usize = 2;
 
-const KEYS: [&str; 4] = ["half_distances_m", "blend", "class", "gates"];
+const KEYS: [&str; 5] = ["half_distances_m", "blend", "class", "lod", "gates"];
 const CLASS_KEYS: [&str; 7] =
     ["match", "class", "transmittance_per_crossing", "density_per_m", "max_samples_per_face", "occludes", "receives"];
+const LOD_KEYS: [&str; 2] = ["node", "levels"];
 const GATE_KEYS: [&str; 3] = ["max_rmse", "max_invalid_fraction", "max_bake_secs"];
 
 /// Keys of features that nothing computes yet.
-const LATER: [&str; 12] =
-    ["region", "regions", "edge", "edges", "field", "fields", "decal", "decals", "lod", "lods", "texture", "textures"];
+const LATER: [&str; 10] =
+    ["region", "regions", "edge", "edges", "field", "fields", "decal", "decals", "texture", "textures"];
 
 /// A sidecar's text and the name it goes by in messages.
 #[derive(Clone, Copy, Debug)]
@@ -58,6 +63,8 @@ pub struct Sidecar {
     pub blend: Option<Vec<f64>>,
     /// Class rules, in order.
     pub classes: Vec<ClassRule>,
+    /// Links to lower levels of detail, in order.
+    pub lods: Vec<LodRule>,
     /// Quality gates.
     pub gates: Gates,
 }
@@ -93,6 +100,27 @@ pub struct ClassRule {
     pub receives: Option<bool>,
 }
 
+/// A rule that links nodes to their lower levels of detail.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct LodRule {
+    /// Name of the full-detail node, with at most one `*`.
+    pub node: String,
+    /// Names of its levels, in which `*` stands for what it stands for in `node`.
+    pub levels: Vec<String>,
+}
+
+impl LodRule {
+    /// The names of a node's levels, if the rule is about it.
+    pub(crate) fn levels_of(&self, name: &str) -> Option<Vec<String>> {
+        let part = match self.node.split_once('*') {
+            Some((before, after)) => name.strip_prefix(before)?.strip_suffix(after)?,
+            None if name == self.node => "",
+            None => return None,
+        };
+        Some(self.levels.iter().map(|level| level.replacen('*', part, 1)).collect())
+    }
+}
+
 impl ClassRule {
     /// Whether the rule's glob matches a name; `*` also matches slashes.
     pub fn matches(&self, name: &str) -> bool {
@@ -112,8 +140,10 @@ impl Sidecar {
         let classes = root
             .get("class")
             .map_or(Ok(Vec::new()), |entry| entry.tables("[[class]]")?.iter().map(class_rule).collect())?;
+        let lods =
+            root.get("lod").map_or(Ok(Vec::new()), |entry| entry.tables("[[lod]]")?.iter().map(lod_rule).collect())?;
         let gates = root.get("gates").map_or(Ok(Gates::default()), |entry| gates(&entry.table("[gates]")?))?;
-        Ok(Self { half_distances_m, blend, classes, gates })
+        Ok(Self { half_distances_m, blend, classes, lods, gates })
     }
 }
 
@@ -164,6 +194,24 @@ fn class_rule(table: &Table<'_>) -> Result<ClassRule, SceneError> {
         occludes: table.get("occludes").map(|entry| entry.boolean()).transpose()?,
         receives: table.get("receives").map(|entry| entry.boolean()).transpose()?,
     })
+}
+
+fn lod_rule(table: &Table<'_>) -> Result<LodRule, SceneError> {
+    table.check_keys(&LOD_KEYS, &[])?;
+    let (node, levels) = (table.require("node")?, table.require("levels")?);
+    let stars = |name: &str| name.matches('*').count();
+    let (name, names) = (node.string()?, levels.strings()?);
+    if name.is_empty() || stars(name) > 1 {
+        return Err(node.error(format!("{name:?} is no name with at most one *"), "name the nodes of full detail"));
+    }
+    if names.is_empty() {
+        return Err(levels.error("there are no levels", "name the nodes of lower detail"));
+    }
+    if let Some(level) = names.iter().find(|level| level.is_empty() || stars(level) != stars(name)) {
+        let problem = format!("{level:?} has not as many * as {name:?}");
+        return Err(levels.error(problem, "write a * where the names of the level and of the full detail are alike"));
+    }
+    Ok(LodRule { node: name.to_owned(), levels: names.into_iter().map(str::to_owned).collect() })
 }
 
 fn gates(table: &Table<'_>) -> Result<Gates, SceneError> {
@@ -224,11 +272,22 @@ mod tests {
 
     #[test]
     fn later_features_are_refused_by_name() {
-        for key in ["regions", "edges", "fields", "decals", "lods"] {
+        for key in ["regions", "edges", "fields", "decals", "textures"] {
             let message = refusal(&format!("[[{key}]]\nname = 'a'\n"));
             assert!(message.contains(key) && message.contains("not supported yet"), "{message}");
         }
         assert!(refusal("[[class]]\nmatch = 'a'\nclass = 'dynamic'\n").contains("not supported yet"));
+    }
+
+    #[test]
+    fn levels_have_the_part_of_the_name_that_the_star_is() {
+        let lods = parse("[[lod]]\nnode = '*_lod0'\nlevels = ['*_lod1', 'low/*']\n").unwrap().lods;
+        let levels = lods[0].levels_of("oak_lod0").unwrap();
+        assert_eq!(levels, ["oak_lod1", "low/oak"]);
+        assert!(lods[0].levels_of("oak_lod1").is_none() && lods[0].levels_of("_lod").is_none());
+        let lods = parse("[[lod]]\nnode = 'oak'\nlevels = ['far oak']\n").unwrap().lods;
+        assert_eq!(lods[0].levels_of("oak").unwrap(), ["far oak"]);
+        assert!(lods[0].levels_of("oak2").is_none());
     }
 
     #[test]
@@ -248,6 +307,10 @@ mod tests {
             ("[[class]]\nmatch = 'a'\nclass = 'opaque'\noccludes = 1", 4, "true"),
             ("[[class]]\nmatch = 'a'\nclass = 'opaque'\nmax_samples_per_face = 0", 4, "65,536"),
             ("[gates]\nmax_rmse = -1", 2, "between"),
+            ("[[lod]]\nnode = 'a*b*'\nlevels = ['c']", 2, "one *"),
+            ("[[lod]]\nnode = 'a*'\nlevels = ['c']", 3, "as many *"),
+            ("[[lod]]\nnode = 'a'\nlevels = []", 3, "no levels"),
+            ("[[lod]]\nnode = 'a'\nlevels = [1]", 3, "strings"),
             ("a = \n", 1, "TOML"),
         ] {
             let message = refusal(text);

@@ -113,6 +113,11 @@ impl<'t> Entry<'t> {
         array.iter().map(|v| number(v.get_ref()).ok_or_else(|| self.expected("an array of numbers"))).collect()
     }
 
+    pub(super) fn strings(&self) -> Result<Vec<&'t str>, SceneError> {
+        let array = self.value.get_ref().as_array().ok_or_else(|| self.expected("an array of strings"))?;
+        array.iter().map(|v| v.get_ref().as_str().ok_or_else(|| self.expected("an array of strings"))).collect()
+    }
+
     pub(super) fn table(&self, written: &str) -> Result<Table<'t>, SceneError> {
         let table = self.value.get_ref().as_table().ok_or_else(|| self.expected(&format!("a table {written}")))?;
         Ok(Table { source: self.source, table, start: self.value.span().start })

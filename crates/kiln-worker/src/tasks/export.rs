@@ -9,8 +9,8 @@ use crate::{Artefacts, TaskError, TaskOutput};
 use bytes::Bytes;
 use glam::DVec3;
 use kiln_core::{
-    BakeSummary, Baked, BeyondReach, CoarseFaces, Digest, ErrorEstimate, ExportSpec, Instance, MeshSummary, Solution,
-    TraceSummary, Warning, codec,
+    BakeSummary, Baked, BeyondReach, CoarseFaces, Digest, ErrorEstimate, ExportSpec, Instance, LodSummary, MeshSummary,
+    Solution, TraceSummary, Warning, codec,
 };
 use kiln_scene::{BakedInstance, ExportRequest};
 use kiln_solve::{LevelInstance, fill_unsampled};
@@ -40,7 +40,7 @@ pub(super) fn run(spec: &ExportSpec, level: &LoadedLevel, artefacts: &dyn Artefa
         version: env!("CARGO_PKG_VERSION"),
         values: &values,
         models: &foliage.models(),
-        numbers: &foliage.numbers(),
+        numbers: &foliage.numbers(level),
     };
     let exported = kiln_scene::export(&request).map_err(|error| TaskError::Refused { reason: error.to_string() })?;
     let warnings = [level.level.warnings.clone(), filled, foliage.warnings(level), exported.warnings].concat();
@@ -98,11 +98,16 @@ fn summary(
     foliage: &FoliageOutputs,
     warnings: Vec<Warning>,
 ) -> BakeSummary {
+    let lods = lods(level, indices, solutions);
+    let is_lod = |index: &u32| level.level.instances[*index as usize].is_lod();
+    let (indices, solutions): (Vec<u32>, Vec<&Solution>) =
+        indices.iter().zip(solutions).filter(|(index, _)| !is_lod(index)).map(|(i, s)| (*i, s)).unzip();
+    let (indices, solutions) = (&indices[..], &solutions[..]);
     let mut trace = TraceSummary::default();
     solutions.iter().for_each(|solution| trace.merge(&solution.summary.trace));
     trace.rays_skipped_duplicate = rays_of_duplicates(level, indices, solutions);
     foliage.add_to(&mut trace);
-    let mesh = |(&index, solution): (&u32, &Solution)| {
+    let mesh = |(&index, solution): (&u32, &&Solution)| {
         let instance = &level.level.instances[index as usize];
         let mesh = level.level.meshes[instance.mesh as usize].name.clone();
         let solve = solution.summary.clone();
@@ -119,8 +124,27 @@ fn summary(
         error: level_error(solutions, level.level.sampling.kernel.channel_count()),
         meshes: indices.iter().zip(solutions).map(mesh).collect(),
         foliage: foliage.summary(level),
+        lods,
         warnings,
     }
+}
+
+/// Totals of lower levels of detail.
+fn lods(level: &LoadedLevel, indices: &[u32], solutions: &[Solution]) -> LodSummary {
+    let mut lods = LodSummary::default();
+    for (index, solution) in indices.iter().zip(solutions) {
+        let instance = &level.level.instances[*index as usize];
+        if instance.is_lod() {
+            let (mesh, trace) = (&level.level.meshes[instance.mesh as usize], &solution.summary.trace);
+            lods.instances += 1;
+            lods.vertices += u64::from(mesh.vertex_count);
+            lods.faces += u64::from(mesh.face_count);
+            lods.samples += trace.samples;
+            lods.invalid += trace.invalid;
+            lods.rays += trace.rays;
+        }
+    }
+    lods
 }
 
 /// World-space centres of the faces that are listed as too coarse; those of a mesh that has no such face are left out.
@@ -134,8 +158,8 @@ fn centers_m(level: &LoadedLevel, instance: &Instance, coarse: &CoarseFaces) -> 
 }
 
 /// What faces would have cost that repeat others and were left out: as much as those of their instance did on average.
-fn rays_of_duplicates(level: &LoadedLevel, indices: &[u32], solutions: &[Solution]) -> u64 {
-    let of = |(&index, solution): (&u32, &Solution)| {
+fn rays_of_duplicates(level: &LoadedLevel, indices: &[u32], solutions: &[&Solution]) -> u64 {
+    let of = |(&index, solution): (&u32, &&Solution)| {
         let mesh = &level.level.meshes[level.level.instances[index as usize].mesh as usize];
         let rays = u128::from(solution.summary.trace.rays) * u128::from(mesh.duplicate_faces);
         u64::try_from(rays / u128::from(mesh.face_count.max(1))).unwrap_or(u64::MAX)
@@ -143,14 +167,15 @@ fn rays_of_duplicates(level: &LoadedLevel, indices: &[u32], solutions: &[Solutio
     indices.iter().zip(solutions).map(of).sum()
 }
 
-fn beyond_reach(level: &LoadedLevel, indices: &[u32], solutions: &[Solution]) -> BeyondReach {
+fn beyond_reach(level: &LoadedLevel, indices: &[u32], solutions: &[&Solution]) -> BeyondReach {
     let instances = level.level.instances.iter().enumerate();
     let left_out: Vec<&Instance> = instances.filter(|(index, _)| !level.is_traced(*index)).map(|(_, i)| i).collect();
     let reach = level.reach();
+    let in_scene = level.level.instances.iter().filter(|instance| !instance.is_lod()).count();
     // Beyond the reach of a whole instance lies more than what its samples are told of.
-    let cut = |(&index, solution): (&u32, &Solution)| {
+    let cut = |(&index, solution): (&u32, &&Solution)| {
         let occluders = reach.group(index as usize).map(|group| reach.occluders(group).len());
-        let is_all = occluders.is_none_or(|count| count == level.level.instances.len());
+        let is_all = occluders.is_none_or(|count| count == in_scene);
         let trace = &solution.summary.trace;
         if is_all { trace.rays_cut } else { trace.rays }
     };
@@ -162,7 +187,7 @@ fn beyond_reach(level: &LoadedLevel, indices: &[u32], solutions: &[Solution]) ->
 }
 
 /// Error over the level for each channel.
-fn level_error(solutions: &[Solution], channels: usize) -> Vec<ErrorEstimate> {
+fn level_error(solutions: &[&Solution], channels: usize) -> Vec<ErrorEstimate> {
     let of = |channel: usize| {
         let summaries = solutions.iter().map(|solution| &solution.summary);
         ErrorEstimate::of_level(summaries.filter_map(|s| Some((s.visible_area_m2, s.error.get(channel)?))))

@@ -1,4 +1,4 @@
-//! Fit: the local AO of a model and the volume around its instances to four numbers for each.
+//! Fit: the local AO of a model, and what its instances should have, to four numbers for each.
 
 use super::{LoadedLevel, trees};
 use crate::{Artefacts, TaskError, TaskOutput};
@@ -6,14 +6,14 @@ use kiln_bake::{
     ModelPoint, model_points, values_in_volume,
     volume::{Volume, VolumeBatch},
 };
-use kiln_core::{Digest, FitWork, InstanceNumbers, Mesh, Solution, TreeFits, codec};
+use kiln_core::{Digest, FitWork, InstanceNumbers, Mesh, PointValues, Solution, TreeFits, codec};
 use kiln_solve::{
     AlternateParams, Alternated, ModelSample, ModelSamples, TreeError, TreeInstance, TreeModel, alternate, error_table,
     fit_blended,
 };
 use rayon::prelude::*;
 
-/// `inputs` are the model's local AO, then all batches of the volume.
+/// `inputs` are the model's local AO, then all batches of the volume, or the values at the points of all instances.
 pub(super) fn run(
     work: &FitWork,
     inputs: &[Digest],
@@ -22,22 +22,32 @@ pub(super) fn run(
 ) -> Result<TaskOutput, TaskError> {
     let model = level.trees()?.model_of(work.mesh)?;
     let failed = |reason: String| TaskError::Failed { reason: format!("the model {}: {reason}", work.mesh) };
-    let [local, batches @ ..] = inputs else { return Err(failed("it has no local AO".to_owned())) };
+    let [local, rest @ ..] = inputs else { return Err(failed("it has no local AO".to_owned())) };
     let mesh = &level.meshes[work.mesh as usize];
     let local: Solution = codec::decode("a solution", &artefacts.get(*local)?)?;
-    let volume = level.volume(batches, artefacts)?;
-
     let points = model_points(mesh, level.level.sampling.seed);
-    let values: Vec<Vec<f32>> = model
-        .instances
-        .par_iter()
-        .map(|index| values_in_volume(&volume, &points, &level.level.instances[*index as usize].world_from_object))
-        .collect();
+    let (mut voxels, mut point_rays) = (0, 0);
+    let values: Vec<Vec<f32>> = if model.is_traced {
+        let decode = |bytes: &bytes::Bytes| codec::decode::<PointValues>("values at points", bytes);
+        let runs: Vec<PointValues> = artefacts.get_many(rest)?.iter().map(decode).collect::<Result<_, _>>()?;
+        point_rays = runs.iter().map(|run| run.rays).sum();
+        let of_instance = (points.len() * level.level.sampling.kernel.channel_count()).max(1);
+        runs.iter().flat_map(|run| run.values.chunks(of_instance)).map(<[f32]>::to_vec).collect()
+    } else {
+        let volume = level.volume(rest, artefacts)?;
+        voxels = volume.layout().voxel_count() as u64;
+        let place = |index: &u32| &level.level.instances[*index as usize].world_from_object;
+        model.instances.par_iter().map(|index| values_in_volume(&volume, &points, place(index))).collect()
+    };
+    if values.len() != model.instances.len() {
+        return Err(failed(format!("{} instances have values, of {}", values.len(), model.instances.len())));
+    }
     let keys = model.instances.iter().map(|index| trees::key(&level.level.instances[*index as usize]));
     let instances: Vec<TreeInstance<'_>> =
         keys.zip(&values).map(|(key, values)| TreeInstance { key, values }).collect();
     let fit = Fitting { mesh, points: &points, local: &local, level, instances: &instances };
-    let fits = fit.run(&volume).map_err(|error| failed(error.to_string()))?;
+    let fits = fit.run().map_err(|error| failed(error.to_string()))?;
+    let fits = TreeFits { voxels, point_rays, ..fits };
     Ok(TaskOutput { result: codec::encode(&fits), attachments: Vec::new(), rays: 0 })
 }
 
@@ -50,7 +60,7 @@ struct Fitting<'a> {
 }
 
 impl Fitting<'_> {
-    fn run(&self, volume: &Volume) -> Result<TreeFits, TreeError> {
+    fn run(&self) -> Result<TreeFits, TreeError> {
         let settings = &self.level.level.solve;
         let channels = self.local.channels as usize;
         let samples = self.samples()?;
@@ -79,7 +89,8 @@ impl Fitting<'_> {
             errors,
             trace: self.local.summary.trace,
             trace_lanes: self.local.summary.trace_lanes.clone(),
-            voxels: volume.layout().voxel_count() as u64,
+            voxels: 0,
+            point_rays: 0,
         })
     }
 

@@ -52,6 +52,8 @@ pub struct LoadedLevel {
     near: OnceLock<BTreeMap<u32, Vec<u32>>>,
     /// The volume around trees, and the batches that it was made of.
     volume: Mutex<Option<(Vec<Digest>, Arc<Volume>)>>,
+    /// BVHs of meshes, by index.
+    bvhs: Mutex<HashMap<u32, Arc<MeshBvh>>>,
     /// Models alone, by mesh and backend.
     alone: Mutex<HashMap<(u32, bool), SceneTracer>>,
 }
@@ -102,6 +104,7 @@ impl LoadedLevel {
             trees: OnceLock::new(),
             near: OnceLock::new(),
             volume: Mutex::default(),
+            bvhs: Mutex::default(),
             alone: Mutex::default(),
         }
     }
@@ -136,6 +139,20 @@ impl LoadedLevel {
         let volume = Arc::new(fit::assemble(self, batches, artefacts)?);
         *known = Some((batches.to_vec(), Arc::clone(&volume)));
         Ok(volume)
+    }
+
+    /// The BVH of a mesh that is loaded.
+    pub(super) fn bvh(&self, mesh: u32, bvhs: &BvhKeeper, cache: Option<&LocalCache>) -> Arc<MeshBvh> {
+        let mut known = account::waiting(|| self.bvhs.lock()).unwrap_or_else(PoisonError::into_inner);
+        if let Some(bvh) = known.get(&mesh) {
+            return Arc::clone(bvh);
+        }
+        let index = mesh as usize;
+        let build = || bvhs.all(&[(self.level.meshes[index].digest, &*self.meshes[index])], cache);
+        let found = account::part(Part::Building, build);
+        let bvh = found.into_iter().next().unwrap_or_else(|| Arc::new(MeshBvh::build(&Mesh::default())));
+        known.insert(mesh, Arc::clone(&bvh));
+        bvh
     }
 
     /// A model of trees by itself, and a backend's tracer over it.
@@ -203,11 +220,15 @@ impl LoadedLevel {
             }));
         }
         let mut bvhs: Vec<Arc<MeshBvh>> = bvhs.all(&distinct, cache);
+        if self.level.instances.iter().any(Instance::is_lod) {
+            let known = index_of.iter().enumerate().map(|(mesh, at)| (mesh as u32, Arc::clone(&bvhs[*at])));
+            self.bvhs.lock().unwrap_or_else(PoisonError::into_inner).extend(known);
+        }
         // Instances that are not traced keep their index, by which ties are decided.
         let nothing = bvhs.len();
         bvhs.push(Arc::new(MeshBvh::build(&Mesh::default())));
         let object = |(instance, traced): (&Instance, &bool)| SceneObject {
-            mesh: if *traced { index_of[instance.mesh as usize] } else { nothing },
+            mesh: if *traced && !instance.is_lod() { index_of[instance.mesh as usize] } else { nothing },
             world_from_object: instance.world_from_object,
         };
         let mut objects: Vec<SceneObject> = self.level.instances.iter().zip(&self.is_traced).map(object).collect();
@@ -222,7 +243,8 @@ impl LoadedLevel {
     fn build_foliage(&self) -> Foliage {
         let mut trees: HashMap<*const Mesh, Option<Arc<CrossingMesh>>> = HashMap::new();
         let mut objects = Vec::new();
-        for (instance, _) in self.level.instances.iter().zip(&self.is_traced).filter(|(_, traced)| **traced) {
+        let in_scene = |(instance, traced): &(&Instance, &bool)| **traced && !instance.is_lod();
+        for (instance, _) in self.level.instances.iter().zip(&self.is_traced).filter(in_scene) {
             let mesh = &self.meshes[instance.mesh as usize];
             let tree = trees.entry(Arc::as_ptr(mesh)).or_insert_with(|| CrossingMesh::build(mesh).map(Arc::new));
             let world_from_object = instance.world_from_object;

@@ -10,7 +10,9 @@ mod import;
 mod levels;
 mod outputs;
 mod plan;
+mod points;
 mod read;
+mod resample;
 mod solve;
 mod trace;
 mod trees;
@@ -62,8 +64,11 @@ impl BakeExecutor {
             match &spec.work {
                 Work::Trace(piece) => trace::run(piece, &level, tracer, backend.lane_of(&tracer.0)),
                 Work::Volume(bricks) => volume::run(bricks, &level, tracer),
+                Work::Points(points) => points::run(points, &level, tracer),
                 Work::Read(run) => read::run(run, &spec.inputs, &level, tracer, artefacts),
-                Work::Solve(_) | Work::Fit(_) => Err(TaskError::Failed { reason: "it does not trace".to_owned() }),
+                Work::Solve(_) | Work::Fit(_) | Work::Resample(_) => {
+                    Err(TaskError::Failed { reason: "it does not trace".to_owned() })
+                }
             }
         })
     }
@@ -88,7 +93,15 @@ impl Executor for BakeExecutor {
         match spec {
             TaskSpec::Import { source } => import::run(*source, artefacts),
             TaskSpec::Plan(spec) => plan::run(spec, &*self.levels.get(spec.level, artefacts)?),
-            TaskSpec::Work(spec @ WorkSpec { work: Work::Trace(_) | Work::Volume(_) | Work::Read(_), .. }) => {
+            TaskSpec::Work(WorkSpec { level, work: Work::Resample(piece), inputs }) => {
+                let (level, cache) = (self.levels.get(*level, artefacts)?, artefacts.local_cache());
+                let output = resample::run(piece, inputs, &level, (&self.bvhs, cache.as_ref()), artefacts)?;
+                progress(output.rays);
+                Ok(output)
+            }
+            TaskSpec::Work(
+                spec @ WorkSpec { work: Work::Trace(_) | Work::Volume(_) | Work::Points(_) | Work::Read(_), .. },
+            ) => {
                 let output = self.trace(spec, lane, artefacts)?;
                 progress(output.rays);
                 Ok(output)

@@ -3,10 +3,11 @@
 use super::{LoadedLevel, out_of_range};
 use crate::{Artefacts, TaskError};
 use kiln_core::{
-    Digest, FoliageSummary, InstanceNumbers, ModelSummary, Output, RAYS_PER_VOXEL, TraceSummary, TreeFits, Warning,
-    codec,
+    Digest, FoliageSummary, Gets, InstanceNumbers, ModelSummary, Output, RAYS_PER_VOXEL, TraceSummary, TreeFits,
+    Warning, codec,
 };
 use kiln_scene::{BakedModel, NumberedInstance};
+use std::collections::HashMap;
 
 /// The outputs of a task graph, by what they are.
 pub(super) struct Outputs {
@@ -68,23 +69,30 @@ impl FoliageOutputs {
     }
 
     /// Numbers of all instances that have some.
-    pub(super) fn numbers(&self) -> Vec<NumberedInstance<'_>> {
+    pub(super) fn numbers(&self, level: &LoadedLevel) -> Vec<NumberedInstance<'_>> {
+        let scalar_of: HashMap<u32, &InstanceNumbers> =
+            self.scalars.iter().map(|(instance, numbers)| (*instance, numbers)).collect();
+        let lods = level.level.instances.iter().enumerate().filter_map(|(instance, lod)| {
+            let numbers = *scalar_of.get(lod.lod_of.first()?)?;
+            (lod.receives && lod.gets == Gets::Scalar).then_some(NumberedInstance { instance, numbers })
+        });
         let of_trees = self.trees.iter().flat_map(|(_, instances, fits)| instances.iter().zip(&fits.numbers));
         let of_scalars = self.scalars.iter().map(|(instance, numbers)| (instance, numbers));
         let numbered = |(instance, numbers): (&u32, _)| NumberedInstance { instance: *instance as usize, numbers };
-        of_trees.map(numbered).chain(of_scalars.map(numbered)).collect()
+        of_trees.map(numbered).chain(of_scalars.map(numbered)).chain(lods).collect()
     }
 
     /// Adds what was traced for foliage.
     pub(super) fn add_to(&self, trace: &mut TraceSummary) {
         self.trees.iter().for_each(|(.., fits)| trace.merge(&fits.trace));
+        trace.rays += self.trees.iter().map(|(.., fits)| fits.point_rays).sum::<u64>();
         trace.rays += self.voxels() * u64::from(RAYS_PER_VOXEL);
         trace.rays += self.scalars.len() as u64 * u64::from(kiln_bake::DecoratorSettings::default().directions);
     }
 
-    /// All models have the same volume.
+    /// All models that are fitted to a volume have the same.
     fn voxels(&self) -> u64 {
-        self.trees.first().map_or(0, |(.., fits)| fits.voxels)
+        self.trees.iter().map(|(.., fits)| fits.voxels).max().unwrap_or(0)
     }
 
     /// What is worth saying.
@@ -109,6 +117,7 @@ impl FoliageOutputs {
         let model = |(mesh, instances, fits): &(u32, Vec<u32>, TreeFits)| ModelSummary {
             mesh: level.level.meshes[*mesh as usize].name.clone(),
             instances: instances.len() as u64,
+            traced: fits.point_rays > 0,
             errors: fits.errors.clone(),
         };
         FoliageSummary {

@@ -24,7 +24,11 @@ pub(super) fn run(
     }
     let model = if work.alone { Some(level.trees()?.model_of(placed.mesh)?) } else { None };
     let world_from_object = model.map_or(placed.world_from_object, Model::place);
-    let input = SolveInput { mesh, world_from_object, moments: &whole, settings: &level.level.solve };
+    let mut settings = level.level.solve.clone();
+    if placed.is_lod() && !work.alone {
+        settings.rays_per_sample = kiln_bake::lod_sampling(&level.level.sampling).rays_per_sample;
+    }
+    let input = SolveInput { mesh, world_from_object, moments: &whole, settings: &settings };
     let solution = kiln_solve::solve(&input).map_err(|error| failed(error.to_string()))?;
     Ok(TaskOutput { result: codec::encode(&solution), attachments: Vec::new(), rays: 0 })
 }

@@ -4,7 +4,10 @@
 use super::{LoadedLevel, out_of_range};
 use crate::TaskError;
 use glam::{DAffine3, DVec3};
-use kiln_bake::volume::{Layout, LayoutSettings, VolumeError};
+use kiln_bake::{
+    model_points,
+    volume::{Layout, LayoutSettings, VolumeError},
+};
 use kiln_core::{Bounds, Digest, DigestBuilder, Gets, Instance, Level, RAYS_PER_VOXEL};
 use kiln_plan::{FoliagePlan, InstanceSampling, ModelPlan, Reach, RunPlan, VolumePlan};
 use std::{collections::BTreeMap, ops::Range};
@@ -38,6 +41,8 @@ pub(super) struct Model {
     pub(super) instances: Vec<u32>,
     /// The scale at which it is baked alone.
     pub(super) scale: f64,
+    /// Its instances are fitted to what is traced on them, not to the volume.
+    pub(super) is_traced: bool,
 }
 
 impl Model {
@@ -60,6 +65,9 @@ impl Trees {
                     by_mesh.entry(instance.mesh).or_default().push(index);
                     boxes.push(seen_m(index as usize));
                 }
+                Gets::GlobalTraced => by_mesh.entry(instance.mesh).or_default().push(index),
+                // A lower level of detail has the number of what it stands for.
+                Gets::Scalar if instance.is_lod() => {}
                 Gets::Scalar => scalars.push(index),
             }
         }
@@ -67,7 +75,8 @@ impl Trees {
         let layout = Layout::new(&boxes, &LayoutSettings::default())?;
         let model = |(mesh, instances): (u32, Vec<u32>)| {
             let scale = scale(instances.iter().map(|index| &level.instances[*index as usize]));
-            Model { mesh, instances, scale }
+            let is_traced = instances.iter().any(|i| level.instances[*i as usize].gets == Gets::GlobalTraced);
+            Model { mesh, instances, scale, is_traced }
         };
         Ok(Self { models: by_mesh.into_iter().map(model).collect(), layout, scalars })
     }
@@ -97,6 +106,9 @@ impl Trees {
             instances: model.instances.clone(),
             scale: model.scale,
             sampling: sampling(model.mesh, &model.place()),
+            points: model
+                .is_traced
+                .then(|| model_points(&level.meshes[model.mesh as usize], level.level.sampling.seed).len() as u32),
         };
         let seen: Vec<Bounds> = (0..level.level.instances.len()).map(|index| level.seen_m(index)).collect();
         FoliagePlan {
@@ -118,7 +130,7 @@ impl Trees {
         }
         let is_near = |tree: &u32| do_touch(&around, &seen[*tree as usize]);
         let mut trees: Vec<u32> =
-            self.models.iter().flat_map(|model| &model.instances).copied().filter(is_near).collect();
+            self.models.iter().filter(|m| !m.is_traced).flat_map(|m| &m.instances).copied().filter(is_near).collect();
         trees.sort_unstable();
         VolumePlan {
             first_brick,
@@ -157,7 +169,7 @@ impl Trees {
 
 /// Whether an instance has values that others can read.
 pub(super) fn is_read(instance: &Instance) -> bool {
-    instance.receives && instance.gets == Gets::Vertices
+    instance.receives && instance.gets == Gets::Vertices && !instance.is_lod()
 }
 
 /// A box around the largest sphere in which surfaces are read for an instance.

@@ -275,6 +275,7 @@ fn export(spec: &ExportSpec, artefacts: &dyn Artefacts) -> Result<TaskOutput, Ta
         error: Vec::new(),
         meshes: Vec::new(),
         foliage: kiln_core::FoliageSummary::default(),
+        lods: kiln_core::LodSummary::default(),
         warnings: level.warnings,
     };
     let baked = Baked { file: Digest::of(&file), bytes: file.len() as u64, summary };

@@ -4,7 +4,7 @@ use crate::failure::Failure;
 use clap::{Args, ValueEnum};
 use kiln_core::{
     Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, FoliageMode, MAX_CHANNELS, OutputSettings, Quality,
-    Remap, SkipRule, ValueFormat,
+    Remap, SkipRule, TreeValues, ValueFormat,
 };
 use std::{collections::BTreeSet, path::PathBuf};
 
@@ -78,6 +78,9 @@ pub(crate) struct SettingsArgs {
     /// What trees and shrubs do to rays
     #[arg(long, value_enum, default_value_t)]
     pub(crate) foliage: FoliageChoice,
+    /// What the numbers of trees are fitted to
+    #[arg(long, value_enum, default_value_t)]
+    pub(crate) trees: TreeChoice,
     /// Add a plane under the level that occludes
     #[arg(long)]
     pub(crate) ground_plane: bool,
@@ -175,6 +178,24 @@ impl From<FoliageChoice> for FoliageMode {
             FoliageChoice::Expected => Self::Expected,
             FoliageChoice::Attenuate => Self::Attenuate,
             FoliageChoice::Geometry => Self::Geometry,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default, ValueEnum)]
+pub(crate) enum TreeChoice {
+    /// The volume around trees, whose rays they share.
+    #[default]
+    Volume,
+    /// What is traced at points on each tree.
+    Traced,
+}
+
+impl From<TreeChoice> for TreeValues {
+    fn from(choice: TreeChoice) -> Self {
+        match choice {
+            TreeChoice::Volume => Self::Volume,
+            TreeChoice::Traced => Self::Traced,
         }
     }
 }
@@ -283,6 +304,7 @@ impl SettingsArgs {
             back_face_limit: self.back_face_limit,
             regularization: self.regularization,
             foliage: self.foliage.into(),
+            trees: self.trees.into(),
             ground_plane: self.ground_plane,
             drop_bad_faces: self.drop_bad_faces,
             only: self.only.clone(),

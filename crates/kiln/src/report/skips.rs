@@ -61,6 +61,7 @@ mod tests {
             error: Vec::new(),
             meshes: Vec::new(),
             foliage: kiln_core::FoliageSummary::default(),
+            lods: kiln_core::LodSummary::default(),
             warnings: Vec::new(),
         }
     }
