@@ -5,8 +5,9 @@
 
 use super::surface::Surface;
 use crate::glb::Glb;
-use glam::{DQuat, DVec3};
+use glam::{DAffine3, DQuat, DVec3};
 use serde_json::{Map, Value, json};
+use std::collections::BTreeSet;
 
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
@@ -72,6 +73,8 @@ pub(super) struct Builder {
     meshes: Vec<Value>,
     nodes: Vec<Value>,
     extensions: Vec<&'static str>,
+    /// Nodes outside of the scene.
+    levels: BTreeSet<usize>,
 }
 
 /// Elements of an accessor, as they go into the file.
@@ -143,6 +146,14 @@ impl Elements {
     }
 }
 
+fn matrix_node(name: &str, mesh: Mesh, place: &DAffine3) -> Value {
+    let mut node = json!({"name": name, "mesh": mesh.0});
+    if *place != DAffine3::IDENTITY {
+        node["matrix"] = json!(glam::DMat4::from(*place).to_cols_array());
+    }
+    node
+}
+
 /// Rounds to f32; negative zero becomes zero.
 pub(super) fn to_f32(v: DVec3) -> [f32; 3] {
     v.as_vec3().to_array().map(|c| c + 0.0)
@@ -158,6 +169,7 @@ impl Builder {
             meshes: Vec::new(),
             nodes: Vec::new(),
             extensions: Vec::new(),
+            levels: BTreeSet::new(),
         }
     }
 
@@ -272,6 +284,22 @@ impl Builder {
         self.nodes.push(Value::Object(node));
     }
 
+    /// A node that is drawn in place of another: it is not in the scene.
+    pub(super) fn level_node(&mut self, name: &str, mesh: Mesh, place: &DAffine3) -> usize {
+        self.levels.insert(self.nodes.len());
+        self.nodes.push(matrix_node(name, mesh, place));
+        self.nodes.len() - 1
+    }
+
+    /// A node at the root with lower levels of detail.
+    pub(super) fn node_with_levels(&mut self, name: &str, mesh: Mesh, place: &DAffine3, levels: Vec<usize>) {
+        let mut node = matrix_node(name, mesh, place);
+        if !levels.is_empty() {
+            node["extensions"] = json!({"MSFT_lod": {"ids": levels}});
+        }
+        self.nodes.push(node);
+    }
+
     /// The file's bytes.
     pub(super) fn finish(self, scene_name: &str) -> Vec<u8> {
         let mut root = Map::new();
@@ -280,10 +308,14 @@ impl Builder {
             root.insert("extensionsUsed".into(), json!(self.extensions));
             root.insert("extensionsRequired".into(), json!(self.extensions));
         }
+        if !self.levels.is_empty() {
+            root.insert("extensionsUsed".into(), json!(["MSFT_lod"]));
+        }
         root.insert("scene".into(), json!(0));
         let mut scene = json!({"name": scene_name});
         if !self.nodes.is_empty() {
-            scene["nodes"] = json!((0..self.nodes.len()).collect::<Vec<_>>());
+            scene["nodes"] =
+                json!((0..self.nodes.len()).filter(|node| !self.levels.contains(node)).collect::<Vec<_>>());
         }
         root.insert("scenes".into(), json!([scene]));
         let lists = [

@@ -9,6 +9,7 @@ mod builder;
 mod case;
 pub mod closed_form;
 mod level;
+mod lods;
 mod masonry;
 mod oracle;
 mod props;
@@ -17,11 +18,12 @@ mod round;
 mod surface;
 
 pub use case::{coincident, double_sided, empty, gpu_instancing, mirrored, quantized, triangle};
+pub use lods::with_lods;
 pub use oracle::{Oracle, RECEIVER_GAP_M, oracle, oracles};
 
 type Entry = (&'static str, &'static str, fn() -> Vec<u8>);
 
-const COUNT: usize = 22;
+const COUNT: usize = 23;
 
 const EXAMPLES: [Entry; COUNT] = [
     (
@@ -50,6 +52,7 @@ const EXAMPLES: [Entry; COUNT] = [
     ("quantized", "case: 16-bit positions and 8-bit normals by KHR_mesh_quantization", quantized),
     ("empty", "case: a scene without a mesh", empty),
     ("triangle", "case: one triangle", triangle),
+    ("lods", "level: the courtyard with lower levels of detail by MSFT_lod", lods::courtyard),
 ];
 
 const NAMES: [(&str, &str); COUNT] = {

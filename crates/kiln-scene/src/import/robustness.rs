@@ -46,7 +46,7 @@ fn golden_import() {
     let import = rich().import().unwrap();
     let digest = Digest::of(&codec::encode(&import.level));
     assert_eq!(import.level.instances.len(), 3);
-    assert_eq!(digest.to_string(), "d3a279e9d96bf876e33b152099ae4ea47bf5aac4ab6e88b3117c4579dc8e2ed0");
+    assert_eq!(digest.to_string(), "a8dbc17b951cdcf22567b086210079d368c63e50fe76595c51074a309a24537a");
 }
 
 proptest! {

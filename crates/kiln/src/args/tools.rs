@@ -108,7 +108,9 @@ pub(crate) struct BenchArgs {
 
 /// Makes an example level by code.
 #[derive(Args, Debug)]
-#[command(after_help = "Examples:\n  kiln example courtyard -o courtyard.glb\n  kiln example --list")]
+#[command(
+    after_help = "Examples:\n  kiln example courtyard -o courtyard.glb\n  kiln example lods --from level.glb -o lods.glb\n  kiln example --list"
+)]
 pub(crate) struct ExampleArgs {
     /// Which example
     #[arg(required_unless_present = "list")]
@@ -116,6 +118,9 @@ pub(crate) struct ExampleArgs {
     /// Where to write it
     #[arg(short, long, value_name = "X.glb", required_unless_present = "list")]
     pub(crate) output: Option<PathBuf>,
+    /// The level that `lods` makes lower levels of detail for; the courtyard if none is given
+    #[arg(long, value_name = "LEVEL.glb")]
+    pub(crate) from: Option<PathBuf>,
     /// List the examples
     #[arg(long)]
     pub(crate) list: bool,

@@ -5,6 +5,7 @@ use crate::{
     failure::Failure,
 };
 use anyhow::Context;
+use kiln_scene::LevelFiles;
 
 #[expect(clippy::print_stdout, reason = "this is the command's output")]
 pub(crate) fn run(args: &ExampleArgs, common: &Common) -> Result<(), Failure> {
@@ -22,8 +23,16 @@ pub(crate) fn run(args: &ExampleArgs, common: &Common) -> Result<(), Failure> {
         }
         return Ok(());
     };
-    let Some(glb) = kiln_scene::example::build(name) else {
-        return Err(Failure::usage(format!("there is no example {name:?}; `kiln example --list` names them all")));
+    let glb = match &args.from {
+        Some(level) if name == "lods" => {
+            let files = LevelFiles::read(level, None).map_err(|error| Failure::refused(error.to_string()))?;
+            kiln_scene::example::with_lods(&files.name, &files.files)
+                .map_err(|error| Failure::refused(error.to_string()))?
+        }
+        Some(_) => return Err(Failure::usage("--from is for the example lods, which is made of a level")),
+        None => kiln_scene::example::build(name).ok_or_else(|| {
+            Failure::usage(format!("there is no example {name:?}; `kiln example --list` names them all"))
+        })?,
     };
     std::fs::write(output, &glb).with_context(|| format!("{} cannot be written", output.display()))?;
     if common.json {
