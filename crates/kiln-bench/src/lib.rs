@@ -2,15 +2,18 @@
 
 pub mod accuracy;
 pub mod bake;
+mod baked;
 mod clock;
 mod error;
 mod imported;
+pub mod lods;
 mod memory;
 mod provenance;
 pub mod rays;
 mod scratch;
 pub mod solve;
 mod spread;
+pub mod trees;
 
 pub use error::BenchError;
 pub use provenance::Provenance;
@@ -25,10 +28,14 @@ pub enum Bench {
     Accuracy(Box<accuracy::Args>),
     /// Whole bakes: where their time goes, threads, a farm, error, cost against size
     Bake(Box<bake::Args>),
+    /// Levels of detail by least squares beside reading the full detail at their vertices
+    Lods(lods::Args),
     /// Rays per second, time and memory of building BVHs, beside another tracer and ray by ray
     Rays(rays::Args),
     /// The linear solver beside CHOLMOD and Eigen, and its stress suite
     Solve(solve::Args),
+    /// Trees by four numbers and their model's own AO, in several surroundings, against direct trace
+    Trees(trees::Args),
 }
 
 impl Bench {
@@ -38,7 +45,9 @@ impl Bench {
             Self::Accuracy(args) => accuracy::run(args),
             Self::Bake(args) => bake::run(args, backend),
             Self::Rays(args) => rays::run(args, backend),
+            Self::Lods(args) => lods::run(args),
             Self::Solve(args) => solve::run(args),
+            Self::Trees(args) => trees::run(args),
         }
     }
 }

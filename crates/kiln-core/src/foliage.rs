@@ -70,6 +70,8 @@ pub struct TreeFits {
     pub numbers: Vec<InstanceNumbers>,
     /// Errors against what was fitted, for each channel.
     pub errors: Vec<TreeErrors>,
+    /// The same for each instance, in the level's order.
+    pub instance_errors: Vec<Vec<TreeErrors>>,
     /// Totals of tracing the model alone.
     pub trace: TraceSummary,
     /// The lanes that did.
@@ -100,6 +102,7 @@ impl TreeFits {
         check_size("values", self.local.len(), (fit.vertex_count as usize).saturating_mul(channels))?;
         check_size("numbers", self.numbers.len(), fit.instance_count as usize)?;
         check_size("errors", self.errors.len(), channels)?;
+        check_size("instances' errors", self.instance_errors.len(), fit.instance_count as usize)?;
         check_range("value", &self.local)?;
         self.numbers.iter().try_for_each(|numbers| numbers.check(channels))
     }
@@ -117,6 +120,7 @@ mod tests {
             local: vec![0.5; 6],
             numbers: vec![numbers; 3],
             errors: vec![error; 2],
+            instance_errors: vec![vec![error; 2]; 3],
             trace: TraceSummary::default(),
             trace_lanes: BTreeSet::new(),
             voxels: 9,

@@ -34,7 +34,7 @@ pub use settings::{
 };
 pub use skip::{REACH_EPSILON, SkipRule};
 pub use solution::{CoarseFace, CoarseFaces, ComponentMethod, ErrorEstimate, ErrorHistogram, Solution, SolveSummary};
-pub use summary::{BakeSummary, Baked, BeyondReach, FoliageSummary, LodSummary, MeshSummary, ModelSummary};
+pub use summary::{BakeSummary, Baked, BeyondReach, FoliageSummary, LodSummary, MeshSummary, ModelSummary, NodeErrors};
 pub use task::{ExportSpec, JobId, PlanSpec, SourceFile, SourceManifest, TaskKey, TaskSpec, WorkSpec};
 pub use work::{
     FitWork, Output, PointsWork, RAYS_PER_POINT, RAYS_PER_VOXEL, ReadWork, ResampleWork, ResultError, SolveWork,

@@ -83,6 +83,17 @@ pub struct ModelSummary {
     pub traced: bool,
     /// Errors against what they were fitted to, for each channel.
     pub errors: Vec<crate::TreeErrors>,
+    /// The same for each instance, by the name of its node.
+    pub nodes: Vec<NodeErrors>,
+}
+
+/// Errors of one instance of a model.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NodeErrors {
+    /// Name of the node.
+    pub node: String,
+    /// For each channel.
+    pub errors: Vec<crate::TreeErrors>,
 }
 
 /// What lies beyond the reach of rays.

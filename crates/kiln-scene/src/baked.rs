@@ -22,12 +22,22 @@ use kiln_core::FaceGroup;
 pub struct BakedScene {
     /// Half-distances that the file records, metres; empty if it records none.
     pub half_distances_m: Vec<f64>,
-    /// One for each primitive with triangles of each visible node, in the order of the hierarchy; lower levels of detail
-    /// are not drawn.
+    /// One for each primitive with triangles of each visible node, in the order of the hierarchy.
     pub parts: Vec<BakedPart>,
+    /// Likewise of the nodes that are drawn in place of others.
+    pub lods: Vec<BakedLod>,
     /// Why some primitives without `_AO` are not among the parts: they can't be read. A bake leaves such geometry
     /// alone where it is ignored or flattened.
     pub unreadable: Vec<SceneError>,
+}
+
+/// A primitive of a lower level of detail.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BakedLod {
+    /// The primitive.
+    pub part: BakedPart,
+    /// Indices into [`BakedScene::parts`] of what it is drawn in place of.
+    pub lod_of: Vec<usize>,
 }
 
 /// A primitive of a node.
@@ -68,11 +78,17 @@ pub fn read_baked(name: &str, files: &dyn SourceFiles) -> Result<BakedScene, Sce
     let (mut parts, mut unreadable, mut nodes) = (Vec::new(), Vec::new(), Columns::new());
     let lods = Lods::find(&document, &[], &mut Findings::default())?;
     let placed = placements(&document, &lods, &mut Findings::default())?;
-    for placement in placed.into_iter().filter(|placement| placement.lod_of.is_none()) {
+    let (mut placed_of, mut lods) = (Vec::new(), Vec::new());
+    for placement in placed {
         let Some(mesh) = document.list("meshes")?.get(placement.mesh) else { continue };
         for (index, primitive) in mesh.list("primitives")?.iter().enumerate() {
             match read_part(&document, &placement, &mesh, (index as u32, &primitive), &materials, &mut nodes) {
-                Ok(part) => parts.extend(part),
+                Ok(Some(part)) if placement.lod_of.is_some() => lods.push((part, placement.clone())),
+                Ok(Some(part)) => {
+                    parts.push(part);
+                    placed_of.push(placement.clone());
+                }
+                Ok(None) => {}
                 Err(error) if primitive.get("attributes").is_none_or(|a| a.get("_AO").is_none()) => {
                     unreadable.push(error);
                 }
@@ -80,7 +96,14 @@ pub fn read_baked(name: &str, files: &dyn SourceFiles) -> Result<BakedScene, Sce
             }
         }
     }
-    Ok(BakedScene { half_distances_m: recorded_half_distances(&document), parts, unreadable })
+    let lod = |(part, placement): (BakedPart, Placement)| {
+        let full = placement.lod_of;
+        let is_full = |of: &Placement| full.is_some_and(|full| of.fulls.contains(&full));
+        let lod_of = (0..parts.len()).filter(|index| is_full(&placed_of[*index])).collect();
+        BakedLod { part, lod_of }
+    };
+    let lods = lods.into_iter().map(lod).collect();
+    Ok(BakedScene { half_distances_m: recorded_half_distances(&document), parts, lods, unreadable })
 }
 
 fn recorded_half_distances(document: &Document<'_>) -> Vec<f64> {

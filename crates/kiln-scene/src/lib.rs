@@ -41,7 +41,7 @@ mod resolve;
 mod scene;
 mod sidecar;
 
-pub use baked::{BakedPart, BakedScene, read_baked};
+pub use baked::{BakedLod, BakedPart, BakedScene, read_baked};
 pub use disk::{LevelFiles, ReadError};
 pub use document::external_files;
 pub use error::{ErrorKind, SceneError};

@@ -56,6 +56,7 @@ pub use lane::lane;
 pub use level::{LevelInstance, fill_unsampled};
 pub use system::{ComponentAnswer, ComponentSystem};
 pub use tree::{
-    AlternateParams, Alternated, GLOBAL_BOUND, HalfStep, ModelSample, ModelSamples, SampledLocal, TreeError, TreeFit,
-    TreeInstance, TreeModel, alternate, error_table, fit_blended, fit_global, fit_instance, unit_position,
+    AlternateParams, Alternated, ErrorTables, GLOBAL_BOUND, HalfStep, ModelSample, ModelSamples, SampledLocal,
+    TreeError, TreeFit, TreeInstance, TreeModel, alternate, error_table, error_tables, fit_blended, fit_global,
+    fit_instance, unit_position,
 };

@@ -93,6 +93,7 @@ pub(crate) fn report(summary: &BakeSummary, run: &Run<'_>) -> Value {
         "error_estimate": errors(&summary.error),
         "too_coarse": coarse::of_level(summary),
         "foliage": summary.foliage,
+        "lods": summary.lods,
         "solve": solves(summary),
         "meshes": meshes(summary),
         "cache": {

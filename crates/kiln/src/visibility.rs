@@ -123,7 +123,7 @@ pub(crate) mod tests {
     }
 
     pub(crate) fn scene(parts: Vec<BakedPart>) -> BakedScene {
-        BakedScene { half_distances_m: vec![2.0], parts, unreadable: Vec::new() }
+        BakedScene { half_distances_m: vec![2.0], parts, lods: Vec::new(), unreadable: Vec::new() }
     }
 
     #[test]

@@ -18,6 +18,8 @@ pub(super) struct Report {
     pub(super) error_estimate: Errors,
     #[serde(default)]
     pub(super) foliage: Foliage,
+    #[serde(default)]
+    pub(super) lods: Lods,
     pub(super) solve: Vec<Solve>,
     pub(super) meshes: Vec<Instance>,
 }
@@ -72,6 +74,15 @@ pub(super) struct Foliage {
     pub(super) models: Vec<Model>,
     /// Shrubs and decorators.
     pub(super) scalars: u64,
+}
+
+/// What became of lower levels of detail.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+pub(super) struct Lods {
+    pub(super) vertices: u64,
+    pub(super) faces: u64,
+    /// Points at which the full detail was read.
+    pub(super) samples: u64,
 }
 
 /// A model of trees.

@@ -264,6 +264,14 @@ impl Builder {
         self.node_with(name, mesh, placement, None);
     }
 
+    /// The same with extras.
+    pub(super) fn node_with_extras(&mut self, name: &str, mesh: Mesh, placement: Placement, extras: Value) {
+        self.node_with(name, mesh, placement, None);
+        if let Some(node) = self.nodes.last_mut() {
+            node["extras"] = extras;
+        }
+    }
+
     /// The same with extensions.
     pub(super) fn node_with(&mut self, name: &str, mesh: Mesh, placement: Placement, extensions: Option<Value>) {
         let mut node = Map::new();

@@ -75,6 +75,29 @@ fn build(source: &Import) -> Vec<u8> {
     builder.finish("levels of detail")
 }
 
+/// All of a level as one surface that is seen from one side, and one that is seen from both.
+pub(super) fn surfaces_of(source: &Import) -> [Surface; 2] {
+    let blobs: BTreeMap<_, _> = source.meshes.iter().map(|blob| (blob.digest, &blob.bytes)).collect();
+    let mut all = [Surface::default(), Surface::default()];
+    for instance in source.level.instances.iter().filter(|instance| !instance.is_lod()) {
+        let entry = &source.level.meshes[instance.mesh as usize];
+        let mesh: Mesh = blobs.get(&entry.digest).and_then(|b| codec::decode("a mesh", b).ok()).unwrap_or_default();
+        let place = &instance.world_from_object;
+        let normals = place.matrix3.inverse().transpose();
+        for (all, both) in all.iter_mut().zip([false, true]) {
+            let mut surface = side(&mesh, DVec3::ZERO, both);
+            let position = |p: &mut DVec3| *p = place.transform_point3(*p) + source.level.origin_m;
+            surface.positions.iter_mut().for_each(position);
+            surface.normals.iter_mut().for_each(|normal| *normal = (normals * *normal).normalize_or(DVec3::Y));
+            if place.matrix3.determinant() < 0.0 {
+                surface.faces.iter_mut().for_each(|face| face.swap(1, 2));
+            }
+            all.append(&surface);
+        }
+    }
+    all
+}
+
 fn faces_of(surfaces: &[Surface; 2]) -> usize {
     surfaces.iter().map(|surface| surface.faces.len()).sum()
 }

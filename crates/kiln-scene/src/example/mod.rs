@@ -12,6 +12,7 @@ mod level;
 mod lods;
 mod masonry;
 mod oracle;
+mod planted;
 mod props;
 mod quadrature;
 mod round;
@@ -20,6 +21,7 @@ mod surface;
 pub use case::{coincident, double_sided, empty, gpu_instancing, mirrored, quantized, triangle};
 pub use lods::with_lods;
 pub use oracle::{Oracle, RECEIVER_GAP_M, oracle, oracles};
+pub use planted::planted;
 
 type Entry = (&'static str, &'static str, fn() -> Vec<u8>);
 

@@ -32,4 +32,4 @@ pub use error::TreeError;
 pub use fit::{GLOBAL_BOUND, TreeFit};
 pub use instance::{fit_blended, fit_global, fit_instance};
 pub use samples::{ModelSample, ModelSamples, SampledLocal, unit_position};
-pub use table::error_table;
+pub use table::{ErrorTables, error_table, error_tables};

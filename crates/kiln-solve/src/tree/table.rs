@@ -8,6 +8,7 @@ use super::{
 };
 use kiln_core::TreeErrors;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Compares the three models with the instances' signals, for each channel. `alternated` is that of the same model and
 /// instances. Sums are in the order of the instances' keys.
@@ -19,6 +20,27 @@ pub fn error_table(
     instances: &[TreeInstance<'_>],
     alternated: &Alternated,
 ) -> Result<Vec<TreeErrors>, TreeError> {
+    Ok(error_tables(model, instances, alternated)?.total)
+}
+
+/// What [`error_table`] gives, over all instances and for each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ErrorTables {
+    /// For each channel.
+    pub total: Vec<TreeErrors>,
+    /// For each instance, in the order that they were given in, and channel.
+    pub instances: Vec<Vec<TreeErrors>>,
+}
+
+/// As [`error_table`], for each instance too.
+///
+/// # Errors
+/// If the parts do not fit together.
+pub fn error_tables(
+    model: &TreeModel<'_>,
+    instances: &[TreeInstance<'_>],
+    alternated: &Alternated,
+) -> Result<ErrorTables, TreeError> {
     model.check(instances)?;
     let (samples, channels) = (model.samples, model.channels);
     check_length("alternated fits", alternated.fits.len(), instances.len() * channels)?;
@@ -28,13 +50,20 @@ pub fn error_table(
     let global_only = each(&signals, |values| fit_global(samples, channels, values))?;
     let local_global = each(&signals, |values| fit_instance(samples, &local, values))?;
     let ordered: Vec<_> = order.iter().map(|j| alternated.fits[j * channels..][..channels].to_vec()).collect();
-    let errors = |channel: usize| TreeErrors {
-        global_only: total_rmse(&global_only, channel),
-        local_global: total_rmse(&local_global, channel),
-        alternated: total_rmse(&ordered, channel),
-        weight: ordered.iter().map(|fits| fits[channel].weight).sum(),
+    let errors = |which: Range<usize>| -> Vec<TreeErrors> {
+        let of_channel = |channel: usize| TreeErrors {
+            global_only: total_rmse(&global_only[which.clone()], channel),
+            local_global: total_rmse(&local_global[which.clone()], channel),
+            alternated: total_rmse(&ordered[which.clone()], channel),
+            weight: ordered[which.clone()].iter().map(|fits| fits[channel].weight).sum(),
+        };
+        (0..channels).map(of_channel).collect()
     };
-    Ok((0..channels).map(errors).collect())
+    let mut of_instances = vec![Vec::new(); instances.len()];
+    for (at, j) in order.iter().enumerate() {
+        of_instances[*j] = errors(at..at + 1);
+    }
+    Ok(ErrorTables { total: errors(0..instances.len()), instances: of_instances })
 }
 
 /// The fits of all signals.

@@ -8,8 +8,8 @@ use kiln_bake::{
 };
 use kiln_core::{Digest, FitWork, InstanceNumbers, Mesh, PointValues, Solution, TreeFits, codec};
 use kiln_solve::{
-    AlternateParams, Alternated, ModelSample, ModelSamples, TreeError, TreeInstance, TreeModel, alternate, error_table,
-    fit_blended,
+    AlternateParams, Alternated, ModelSample, ModelSamples, TreeError, TreeInstance, TreeModel, alternate,
+    error_tables, fit_blended,
 };
 use rayon::prelude::*;
 
@@ -74,7 +74,7 @@ impl Fitting<'_> {
             ..AlternateParams::default()
         };
         let found = alternate(&model, self.instances, &params)?;
-        let errors = error_table(&model, self.instances, &found)?;
+        let errors = error_tables(&model, self.instances, &found)?;
         let blend = self.blend(channels);
         let local = samples.local(&found.local, channels)?;
         let numbers = (0..self.instances.len()).into_par_iter().map(|index| {
@@ -86,7 +86,8 @@ impl Fitting<'_> {
             channels: channels as u32,
             local: found.local,
             numbers,
-            errors,
+            errors: errors.total,
+            instance_errors: errors.instances,
             trace: self.local.summary.trace,
             trace_lanes: self.local.summary.trace_lanes.clone(),
             voxels: 0,

@@ -3,8 +3,8 @@
 use super::{LoadedLevel, out_of_range};
 use crate::{Artefacts, TaskError};
 use kiln_core::{
-    Digest, FoliageSummary, Gets, InstanceNumbers, ModelSummary, Output, RAYS_PER_VOXEL, TraceSummary, TreeFits,
-    Warning, codec,
+    Digest, FoliageSummary, Gets, InstanceNumbers, ModelSummary, NodeErrors, Output, RAYS_PER_VOXEL, TraceSummary,
+    TreeErrors, TreeFits, Warning, codec,
 };
 use kiln_scene::{BakedModel, NumberedInstance};
 use std::collections::HashMap;
@@ -114,11 +114,16 @@ impl FoliageOutputs {
     }
 
     pub(super) fn summary(&self, level: &LoadedLevel) -> FoliageSummary {
+        let node = |(index, errors): (&u32, &Vec<TreeErrors>)| NodeErrors {
+            node: level.level.instances[*index as usize].name.clone(),
+            errors: errors.clone(),
+        };
         let model = |(mesh, instances, fits): &(u32, Vec<u32>, TreeFits)| ModelSummary {
             mesh: level.level.meshes[*mesh as usize].name.clone(),
             instances: instances.len() as u64,
             traced: fits.point_rays > 0,
             errors: fits.errors.clone(),
+            nodes: instances.iter().zip(&fits.instance_errors).map(node).collect(),
         };
         FoliageSummary {
             models: self.trees.iter().map(model).collect(),
