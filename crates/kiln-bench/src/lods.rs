@@ -55,7 +55,7 @@ impl Row {
 pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
     println!("{}; levels of detail, all half-distances together\n", Provenance::now().sentence());
     println!(
-        "| level | pairs | faces, full and lower | least squares lower | RMSE least squares | RMSE at vertices | ratio |"
+        "| level | pairs | faces, full and lower | RMSE least squares | RMSE at vertices | ratio | least squares lower |"
     );
     println!("|---|---|---|---|---|---|---|");
     for level in &args.levels {

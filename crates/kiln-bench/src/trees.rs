@@ -62,7 +62,7 @@ pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
     std::fs::write(&level, glb).map_err(|error| bad(&level, error.to_string()))?;
 
     let traced = baked::bake(&level, &["--trees", "traced", "--half-distance", "2,300"], scratch.path())?;
-    let volume = baked::bake(&level, &["--half-distance", "2,300"], scratch.path())?;
+    let volume = baked::bake(&level, &["--trees", "volume", "--half-distance", "2,300"], scratch.path())?;
     let foliage: Foliage = serde_json::from_value(traced.report["foliage"].clone())
         .map_err(|error| BenchError::Failed { step: "report", reason: error.to_string() })?;
     let apart = differences(&traced.scene, &volume.scene);

@@ -207,11 +207,11 @@ pub enum FoliageMode {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
 #[serde(rename_all = "lowercase")]
 pub enum TreeValues {
-    /// The volume of visibility around trees, whose rays all of them share (Sloan et al. 2013, section 2.2).
+    /// What is traced at points on the surface of each instance: more accurate than the volume, and fewer rays.
     #[default]
-    Volume,
-    /// What is traced at points on the surface of each instance.
     Traced,
+    /// The volume of visibility around trees, whose rays all of them share (Sloan et al. 2013, section 2.2).
+    Volume,
 }
 
 /// When adaptive sampling has enough.

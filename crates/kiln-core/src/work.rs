@@ -56,8 +56,8 @@ pub struct SolveWork {
 /// Rays of each voxel of the volume around trees (Sloan et al. 2013, section 4).
 pub const RAYS_PER_VOXEL: u32 = 1024;
 
-/// Rays of each point on an instance of a model.
-pub const RAYS_PER_POINT: u32 = 256;
+/// Rays of each side of a point on an instance of a model.
+pub const RAYS_PER_POINT: u32 = 128;
 
 /// Some bricks of the volume around a level's trees. Its cost is the rays of their voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -19,10 +19,13 @@ const LEAST_GAIN: f64 = 0.9;
 /// Meshes with fewer faces have no levels.
 const LEAST_FACES: usize = 64;
 
+/// Levels with fewer faces are left out: hardly more than a box.
+const LEAST_OF_LEVEL: usize = 16;
+
 const COLOR: [f32; 3] = [0.6, 0.6, 0.6];
 
 /// A level again, with up to three lower levels of detail for each mesh of at least 64 faces: half, a quarter and a tenth of
-/// the faces. Nodes keep their names, and their levels have `_lod1`, `_lod2` and `_lod3` after it; they are outside of the
+/// the faces, but none of fewer than 16. Nodes keep their names, and their levels have `_lod1`, `_lod2` and `_lod3` after it; they are outside of the
 /// scene. Materials keep only whether they are seen from both sides.
 ///
 /// # Errors
@@ -50,7 +53,8 @@ fn build(source: &Import) -> Vec<u8> {
         for part in PARTS {
             let last = faces_of(&levels[levels.len() - 1]);
             let lower = levels[0].each_ref().map(|surface| simplified(surface, part));
-            if faces_of(&levels[0]) >= LEAST_FACES && (faces_of(&lower) as f64) < LEAST_GAIN * last as f64 {
+            let is_less = (faces_of(&lower) as f64) < LEAST_GAIN * last as f64;
+            if faces_of(&levels[0]) >= LEAST_FACES && faces_of(&lower) >= LEAST_OF_LEVEL && is_less {
                 levels.push(lower);
             }
         }

@@ -184,11 +184,11 @@ impl From<FoliageChoice> for FoliageMode {
 
 #[derive(Clone, Copy, Debug, Default, ValueEnum)]
 pub(crate) enum TreeChoice {
-    /// The volume around trees, whose rays they share.
-    #[default]
-    Volume,
     /// What is traced at points on each tree.
+    #[default]
     Traced,
+    /// A volume around all trees, whose rays they share.
+    Volume,
 }
 
 impl From<TreeChoice> for TreeValues {
