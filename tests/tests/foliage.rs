@@ -42,7 +42,7 @@ fn json_of(place: &Workplace, name: &str) -> Value {
 fn trees_get_four_numbers_and_shrubs_one() {
     let place = planted();
     let report = bake(&place, "baked.glb", &[]);
-    assert!(items(&report, "volume") > 0);
+    assert!(items(&report, "points") > 0 && items(&report, "volume") == 0);
     // One model; two runs, as pillars and rafters are reached by different things.
     assert_eq!((items(&report, "fit"), items(&report, "read")), (1, 2));
     assert_eq!((&report["foliage"]["scalars"], &report["foliage"]["models"][0]["instances"]), (&json!(15), &json!(6)));
@@ -84,6 +84,50 @@ fn trees_get_four_numbers_and_shrubs_one() {
 }
 
 #[test]
+fn the_volume_says_nearly_what_is_traced_on_trees() {
+    let place = planted();
+    bake(&place, "traced.glb", &[]);
+    let report = bake(&place, "volume.glb", &["--trees", "volume"]);
+    assert!(items(&report, "volume") > 0 && items(&report, "points") == 0);
+    assert!(report["foliage"]["voxels"].as_u64() > Some(0));
+    let mean = |name: &str| {
+        let crates = scene(&place, name).parts.into_iter().filter(|part| part.node.starts_with("crate"));
+        let all: Vec<f64> = crates.flat_map(|part| part.ao).map(f64::from).collect();
+        all.iter().sum::<f64>() / all.len() as f64
+    };
+    let (traced, volume) = (mean("traced.glb"), mean("volume.glb"));
+    assert!((traced - volume).abs() < 0.15 && traced != volume, "{traced} {volume}");
+}
+
+#[test]
+fn instanced_objects_stop_rays_and_share_their_own_ao() {
+    let place = planted();
+    std::fs::write(place.path("level.kiln.toml"), "").expect("a folder");
+    bake(&place, "opaque.glb", &[]);
+    std::fs::write(place.path("level.kiln.toml"), "[[class]]\nmatch = 'pillar*'\nclass = 'instanced'\n")
+        .expect("a folder");
+    let report = bake(&place, "instanced.glb", &[]);
+    assert!(items(&report, "points") > 0);
+    assert_eq!(report["foliage"]["models"][0]["instances"], 6);
+    let json = json_of(&place, "instanced.glb");
+    let nodes = json["nodes"].as_array().expect("a list");
+    let pillars: Vec<&Value> =
+        nodes.iter().filter(|n| n["name"].as_str().is_some_and(|n| n.starts_with("pillar"))).collect();
+    assert!(pillars.len() == 6 && pillars.iter().all(|node| node["mesh"] == pillars[0]["mesh"]));
+    let (opaque, instanced) = (scene(&place, "opaque.glb"), scene(&place, "instanced.glb"));
+    let (mut sum, mut count) = (0.0, 0.0);
+    for (a, b) in opaque.parts.iter().zip(&instanced.parts) {
+        if a.node.starts_with("pillar") {
+            sum += a.ao.iter().zip(&b.ao).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+            count += a.ao.len() as f64;
+        } else {
+            assert_eq!(a.ao, b.ao, "{}: an instanced object stops rays as an opaque one does", a.node);
+        }
+    }
+    assert!((sum / count).sqrt() < 0.15, "{}", (sum / count).sqrt());
+}
+
+#[test]
 fn shrubs_without_ground_are_told_of() {
     let place = planted();
     let warnings = |report: &Value| {
@@ -122,9 +166,10 @@ fn what_foliage_is_can_be_chosen() {
     // What is far darkens where it is only multiplied.
     assert!(attenuated < expected, "{attenuated} {expected}");
     assert!((expected - geometry).abs() < 0.1 && expected != geometry, "{expected} {geometry}");
-    assert_eq!([items(&solid, "volume"), items(&solid, "fit"), items(&solid, "read")], [0; 3]);
+    let of_foliage = |report: &Value| ["volume", "points", "fit", "read"].map(|stage| items(report, stage));
+    assert_eq!(of_foliage(&solid), [0; 4]);
     // Without foliage there are no such tasks either.
     std::fs::write(place.path("level.kiln.toml"), "").expect("a folder");
     let none = bake(&place, "none.glb", &[]);
-    assert_eq!([items(&none, "volume"), items(&none, "fit"), items(&none, "read")], [0; 3]);
+    assert_eq!(of_foliage(&none), [0; 4]);
 }
