@@ -14,11 +14,16 @@ pub(crate) struct Imported {
 
 /// Imports a level with the sidecar beside it and default settings, but that foliage is geometry: what peers trace.
 pub(crate) fn import(path: &Path) -> Result<Imported, BenchError> {
+    import_as(path, FoliageMode::Geometry)
+}
+
+/// Likewise, with foliage as a mode has it.
+pub(crate) fn import_as(path: &Path, foliage: FoliageMode) -> Result<Imported, BenchError> {
     let files = LevelFiles::read(path, None).map_err(|error| match error {
         ReadError::Level(source) => refused(path, source),
         other => BenchError::File { path: path.to_path_buf(), reason: other.to_string() },
     })?;
-    let settings = BakeSettings { foliage: FoliageMode::Geometry, ..BakeSettings::default() };
+    let settings = BakeSettings { foliage, ..BakeSettings::default() };
     let import = kiln_scene::import(&files.name, &files, files.sidecar(), &settings);
     let import = import.map_err(|source| refused(path, source))?;
     let decode = |blob: &kiln_scene::MeshBlob| -> Result<(Digest, Arc<Mesh>), codec::DecodeError> {

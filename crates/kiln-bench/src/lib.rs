@@ -5,6 +5,7 @@ pub mod bake;
 mod baked;
 mod clock;
 mod error;
+pub mod foliage;
 mod imported;
 pub mod lods;
 mod memory;
@@ -28,6 +29,8 @@ pub enum Bench {
     Accuracy(Box<accuracy::Args>),
     /// Whole bakes: where their time goes, threads, a farm, error, cost against size
     Bake(Box<bake::Args>),
+    /// Terrain under trees and shrubs by each way to treat them, against their real geometry, and what each costs
+    Foliage(foliage::Args),
     /// Levels of detail by least squares beside reading the full detail at their vertices
     Lods(lods::Args),
     /// Rays per second, time and memory of building BVHs, beside another tracer and ray by ray
@@ -45,6 +48,7 @@ impl Bench {
             Self::Accuracy(args) => accuracy::run(args),
             Self::Bake(args) => bake::run(args, backend),
             Self::Rays(args) => rays::run(args, backend),
+            Self::Foliage(args) => foliage::run(args),
             Self::Lods(args) => lods::run(args),
             Self::Solve(args) => solve::run(args),
             Self::Trees(args) => trees::run(args),
