@@ -138,11 +138,13 @@ fn rays_are_worth_what_they_are_on_the_processor() {
         obscurance(&[0.2, 1.0, 5.0, 300.0]),
         occlusion(),
         KernelRates::new(&Kernel::Occlusion { ray_distance_m: 1.2 }),
+        // Rays without end.
+        KernelRates { t_max: f32::MAX, ..obscurance(&[1.0, 1e-3]) },
     ];
     for mode in BOTH {
         for (seed, kernel) in kernels.iter().enumerate() {
             let mut numbers = Numbers(seed as u64 + 100);
-            let things = things(&mut numbers, [3, 6, 12, 40, 90][seed]);
+            let things = things(&mut numbers, [3, 6, 12, 40, 90, 60][seed]);
             let still = kiln_trace::SceneObject { mesh: 0, world_from_object: DAffine3::IDENTITY };
             let opaque = TestScene::new("soup", &soup(&mut numbers, 3 * seed), vec![still]);
             let built = scene(&opaque, &things, mode);
@@ -388,6 +390,37 @@ fn what_is_behind_the_closest_hit_does_not_count() {
             .map(|objects| gather(&on(crate::device(), &scene(&wall(2.0, 1e5), objects, mode)), &samples, &kernel, 32));
         assert_eq!(near, far, "{mode:?}");
     }
+}
+
+/// Bad numbers give some value, and the next rays are none the worse.
+#[test]
+fn rays_that_are_no_rays_end() {
+    let mut numbers = Numbers(19);
+    let kernel = obscurance(&[1.0, 1e-3]);
+    let objects = things(&mut numbers, 40);
+    let good = samples(&mut numbers, 64);
+    let bad = [f32::NAN, f32::INFINITY, 1e19, -f32::MAX].map(|x| SurfaceSample { origin: Vec3::X * x, ..good[0] });
+    let blind = [Vec3::ZERO, Vec3::NAN].map(|normal| SurfaceSample { normal, geometric: Vec3::Y, ..good[0] });
+    for mode in BOTH {
+        let tracer = on(crate::device(), &scene(&scenes::all()[3], &objects, mode));
+        let expected = gather(&tracer, &good, &kernel, 32);
+        let mixed = [&good[..], &bad, &blind].concat();
+        let found = gather(&tracer, &mixed, &kernel, 32);
+        assert!(found.iter().all(|sums| sums.values.iter().all(|value| *value <= 32 * 65536)), "{mode:?}");
+        assert!(found[..64] == expected, "{mode:?}");
+    }
+}
+
+/// Where faces of trees are geometry there is nothing to go through.
+#[test]
+fn geometry_is_no_foliage() {
+    let mut numbers = Numbers(23);
+    let (opaque, objects) = (&scenes::all()[3], things(&mut numbers, 20));
+    let [with, without] = [&objects[..], &[]].map(|objects| {
+        let tracer = on(crate::device(), &scene(opaque, objects, FoliageMode::Geometry));
+        (tracer.memory_bytes(), gather(&tracer, &opaque.samples(500, 32), &obscurance(&[1.0]), 32))
+    });
+    assert!(with == without);
 }
 
 /// Hits know of no foliage, and how the geometry is spread over bindings, and subgroups, change nothing.
