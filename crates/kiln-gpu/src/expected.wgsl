@@ -1,6 +1,6 @@
 // What a ray is worth that ends wherever it is absorbed: events in the order of their distances, some at a time; foliage.rs.
 
-// Keep in sync with foliage.rs.
+// Changes no result; docs/gpu.md says why so many.
 const MOST_EVENTS: u32 = 16u;
 // Where no more than 2^-SPENT of the visibility is left, the rest of the way changes nothing.
 const SPENT: f32 = 32f;
