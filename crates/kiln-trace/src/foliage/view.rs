@@ -9,7 +9,7 @@ use std::sync::Arc;
 /// What an object does to rays that are taken into its space.
 #[derive(Clone, Copy, Debug)]
 pub enum FoliageView<'a> {
-    /// A tree.
+    /// A tree: each of its faces takes its depth wherever it is crossed.
     Crossings(&'a Arc<CrossingMesh>),
     /// A shrub.
     Fog {
