@@ -173,3 +173,32 @@ fn what_foliage_is_can_be_chosen() {
     let none = bake(&place, "none.glb", &[]);
     assert_eq!(of_foliage(&none), [0; 4]);
 }
+
+/// On the software driver, in both modes. Fits and numbers that come of it are compared as a
+/// game would show them.
+#[test]
+fn a_bake_on_a_card_is_that_of_the_processor() {
+    let place = planted();
+    for mode in ["expected", "attenuate"] {
+        bake(&place, "cpu.glb", &["--foliage", mode]);
+        let own =
+            ["bake", "level.glb", "-o", "gpu.glb", "--quality", "low", "--backend", "gpu", "--report", "gpu.json"];
+        let arguments = [&own[..], &["--half-distance", "0.5,10", "--foliage", mode]].concat();
+        let output = place.command(&arguments).env("KILN_GPU", "software").output().expect("it starts");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() && !said.contains("traced on the processor"), "{said}");
+        let report = place.json("gpu.json");
+        let traced_in = report["backend"]["traced_in"].as_array().expect("the report names lanes").clone();
+        assert!(
+            traced_in.len() == 1 && traced_in[0].as_str().is_some_and(|lane| lane.starts_with("gpu:")),
+            "{traced_in:?}"
+        );
+        assert!(items(&report, "volume") > 0 && items(&report, "fit") == 1 && items(&report, "read") == 2);
+        // What differs is what rounding decides: single rays of single samples.
+        place.succeed(&["compare", "cpu.glb", "gpu.glb", "--fail-above", "0.002"]);
+        let [cpu, gpu] = ["cpu.glb", "gpu.glb"].map(|name| scene(&place, name).parts);
+        let differences = cpu.iter().zip(&gpu).flat_map(|(cpu, gpu)| cpu.ao.iter().zip(&gpu.ao));
+        let greatest = differences.map(|(cpu, gpu)| (cpu - gpu).abs()).fold(0.0, f32::max);
+        assert!(greatest < 0.05, "{mode}: {greatest}");
+    }
+}

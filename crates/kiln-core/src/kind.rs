@@ -47,12 +47,12 @@ impl TaskKind {
     /// other revisions are never taken for its own. A golden test in the kind's crate fails otherwise.
     pub const fn kernel_rev(self) -> u32 {
         match self {
-            Self::Volume | Self::Points | Self::Read | Self::Resample => 1,
-            Self::Fit => 2,
+            Self::Points | Self::Read | Self::Resample => 1,
+            Self::Volume | Self::Fit => 2,
             Self::Solve => 4,
             Self::Import => 5,
             Self::Plan | Self::Export => 6,
-            Self::Trace => 7,
+            Self::Trace => 8,
         }
     }
 

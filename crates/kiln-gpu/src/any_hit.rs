@@ -8,7 +8,8 @@ use kiln_trace::{Ray, TraceError};
 
 /// Finds which rays are blocked.
 pub(crate) fn run(tracer: &GpuTracer, rays: &[Ray], blocked: &mut [bool]) -> Result<(), TraceError> {
-    rays::run(tracer, Entry::AnyHit, rays, u64::from(LANES / 8), |range, bytes| {
+    let kind = rays::Kind::of_hits(Entry::AnyHit, u64::from(LANES / 8));
+    rays::run(tracer, &kind, rays, |range, bytes| {
         for (i, blocked) in blocked[range].iter_mut().enumerate() {
             *blocked = bytes[i / 8] & (1 << (i % 8)) != 0;
         }

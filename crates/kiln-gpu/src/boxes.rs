@@ -17,7 +17,7 @@
 
 use crate::layout::Layout;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
-use kiln_trace::{MeshBvh, Scene, SceneInstance};
+use kiln_trace::{BvhChild, MeshBvh, Scene, SceneInstance};
 use std::ops::Range;
 
 /// Bound on what rounding does to a ray, relative to the terms that are summed.
@@ -41,7 +41,7 @@ pub(crate) struct PlacedMesh {
 /// What acceleration structures of a scene are made of.
 pub(crate) struct Boxes<'a> {
     scene: &'a Scene,
-    layout: &'a Layout,
+    layout: &'a Layout<'a>,
     /// The instances that a ray can hit.
     pub(crate) placed: Vec<PlacedMesh>,
     /// Margin of each mesh's boxes; `None` where no instance that can be hit has it.
@@ -52,7 +52,7 @@ pub(crate) struct Boxes<'a> {
 
 impl<'a> Boxes<'a> {
     #[expect(clippy::cast_possible_truncation, reason = "the driver's transforms are f32, which the margin allows for")]
-    pub(crate) fn of(scene: &'a Scene, layout: &'a Layout) -> Self {
+    pub(crate) fn of(scene: &'a Scene, layout: &'a Layout<'a>) -> Self {
         let reach = origin_reach(scene);
         let mut margins = vec![None; scene.meshes.len()];
         let mut placed = Vec::with_capacity(layout.top.leaf_records.len());
@@ -100,10 +100,12 @@ fn outwards(min: DVec3, max: DVec3) -> BoxCorners {
     [low, high]
 }
 
-/// How far from the level's origin rays may start, along any axis, metres.
+/// How far from the level's origin rays may start, along any axis, metres; so do rays that start on or around foliage.
 fn origin_reach(scene: &Scene) -> f64 {
     let roots = (!scene.is_empty()).then(|| scene.children(0)).into_iter().flatten();
-    let greatest = roots.fold(0f32, |all, child| all.max(child.min.abs().max(child.max.abs()).max_element()));
+    let foliage = scene.foliage().into_iter().flat_map(|foliage| foliage.children(0));
+    let farthest = |child: BvhChild| child.min.abs().max(child.max.abs()).max_element();
+    let greatest = roots.chain(foliage).map(farthest).fold(0f32, f32::max);
     (ORIGIN_FACTOR * f64::from(greatest)).clamp(LEAST_REACH_M, f64::from(f32::MAX))
 }
 

@@ -62,11 +62,7 @@ fn gathered(place: u32, workgroup: vec2<u32>) -> LaneSums {
             continue;
         }
         let hit = closest_hit(origin, direction, params.t_max);
-        if hit.rank == MISS_RANK {
-            values += params.kernel.open;
-        } else {
-            values += hit_value(params.kernel, hit.t);
-        }
+        values += ray_value(params.kernel, origin, direction, hit);
         counts += select(0x00001u, 0x10001u, hit.rank > MISS_RANK);
     }
     return LaneSums(values, counts);

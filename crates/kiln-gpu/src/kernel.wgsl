@@ -13,14 +13,18 @@ struct Kernel {
     hit_mask: vec4<u32>,
 }
 
-// round(65536 (1 - 2^-x)) for x >= 0; from x = 24 on it is ONE.
-fn fixed_obscurance(distance: vec4<f32>) -> vec4<u32> {
-    let x = min(distance, vec4(24f));
+// 2^-x for 0 <= x <= 126.
+fn small_exp2_minus(x: vec4<f32>) -> vec4<f32> {
     let whole = floor(x + vec4(0.5f));
     let y = (whole - x) * 0.693147180559945f;
     let p = 1f + y * (1f + y * (0.5f + y * (1f / 6f + y * (1f / 24f + y * (1f / 120f + y * (1f / 720f))))));
     let scale = bitcast<vec4<f32>>((vec4(127u) - vec4<u32>(whole)) << vec4(23u));
-    return vec4<u32>((1f - p * scale) * 65536f + 0.5f);
+    return p * scale;
+}
+
+// round(65536 (1 - 2^-x)) for x >= 0; from x = 24 on it is ONE.
+fn fixed_obscurance(distance: vec4<f32>) -> vec4<u32> {
+    return vec4<u32>((1f - small_exp2_minus(min(distance, vec4(24f)))) * 65536f + 0.5f);
 }
 
 fn hit_value(kernel: Kernel, t: f32) -> vec4<u32> {

@@ -2,9 +2,10 @@
 //!
 //! First come the records of instances, each of the size of a node: for the software traversal among the nodes of the tree
 //! over them, for ray queries by index. Then comes for each mesh what leads to its triangles (nodes; for ray queries a table
-//! of the boxes' runs of triangles), and its triangles.
+//! of the boxes' runs of triangles), and its triangles. Last comes foliage ([`crate::foliage`]).
 
 use crate::{
+    foliage::FoliageLayout,
     node::WideNode,
     triangle::TriangleRecord,
     upload::Upload,
@@ -15,8 +16,8 @@ use kiln_trace::{MeshBvh, Scene, SceneInstance, TraceError};
 
 /// Bytes of a word of the geometry.
 pub(crate) const WORD_BYTES: u64 = 16;
-const NODE_WORDS: u64 = 5;
-const TRIANGLE_WORDS: u64 = 3;
+pub(crate) const NODE_WORDS: u64 = 5;
+pub(crate) const TRIANGLE_WORDS: u64 = 3;
 /// Keep in sync with `ray_query.wgsl`.
 const RUNS_PER_WORD: usize = 4;
 
@@ -42,17 +43,19 @@ const _: () = {
 };
 
 /// The device's trees, and where they go, in words.
-pub(crate) struct Layout {
+pub(crate) struct Layout<'a> {
     pub(crate) ray_queries: bool,
     pub(crate) top: WideTree,
     pub(crate) meshes: Vec<WideTree>,
     /// First words of what leads to the triangles of each mesh, and of these.
     starts: Vec<[u64; 2]>,
+    /// Behind all meshes.
+    pub(crate) foliage: Option<FoliageLayout<'a>>,
     pub(crate) total_words: u64,
 }
 
-impl Layout {
-    pub(crate) fn of(scene: &Scene, ray_queries: bool) -> Self {
+impl<'a> Layout<'a> {
+    pub(crate) fn of(scene: &'a Scene, ray_queries: bool) -> Self {
         let top = if scene.is_empty() { WideTree::default() } else { widen(scene) };
         let of_mesh = |mesh: &MeshBvh| if mesh.is_empty() { WideTree::default() } else { widen(mesh) };
         let meshes: Vec<WideTree> = scene.meshes.iter().map(|mesh| of_mesh(mesh)).collect();
@@ -66,16 +69,17 @@ impl Layout {
             starts.push([at, triangles]);
             at = triangles + mesh.leaves.len() as u64 * TRIANGLE_WORDS;
         }
-        Self { ray_queries, top, meshes, starts, total_words: at.max(1) }
+        let foliage = FoliageLayout::of(scene, at);
+        let total_words = foliage.as_ref().map_or(at, |foliage| foliage.end_word).max(1);
+        Self { ray_queries, top, meshes, starts, foliage, total_words }
     }
 
     /// Entries that no path through both levels exceeds: each node leaves one group behind, but for the last.
     pub(crate) fn stack_entries(&self) -> u32 {
-        if self.ray_queries {
-            return 0;
-        }
         let deepest = self.meshes.iter().map(|mesh| mesh.depth).max().unwrap_or(0);
-        (self.top.depth + deepest).next_multiple_of(STACK_STEP).max(STACK_STEP)
+        let walked = if self.ray_queries { None } else { Some(self.top.depth + deepest) };
+        let depth = walked.max(self.foliage.as_ref().map(FoliageLayout::depth));
+        depth.map_or(0, |depth| depth.next_multiple_of(STACK_STEP).max(STACK_STEP))
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "`shape` has checked the greatest word")]
@@ -114,6 +118,9 @@ impl Layout {
                 let triangles: Vec<TriangleRecord> = run.iter().map(|&i| TriangleRecord::of(mesh, i)).collect();
                 upload.write(cast_slice(&triangles))?;
             }
+        }
+        if let Some(foliage) = &self.foliage {
+            foliage.send(&mut upload)?;
         }
         upload.finish()
     }

@@ -8,9 +8,10 @@
 //! | `sampling` | directions, and the cones of 32 that they are dealt to |
 //! | `kernel` | the value of a hit |
 //! | `scene`, `triangle` | a ray's way into an instance, and triangles |
-//! | `node`, `traverse` | boxes, and the way of a ray through both levels |
+//! | `node`, `stack`, `traverse` | boxes, and the way of a ray through both levels |
 //! | `ray_query` | the same way by a card's ray queries |
-//! | `gather`, `trace`, `any_hit` | the operations of a tracer |
+//! | `value`, `no_foliage`, `foliage`, `attenuate`, `expected` | the value of a ray, and what it goes through before its hit |
+//! | `gather`, `values`, `trace`, `any_hit` | the operations of a tracer |
 //! | `visits` | what rays cost, for [`model`] |
 //! | `probe` | parts of them, for tests |
 //!
@@ -26,6 +27,7 @@ mod device;
 mod error;
 mod experimental;
 mod flight;
+mod foliage;
 mod gather;
 mod kernel;
 mod layout;
@@ -42,6 +44,7 @@ mod tracer;
 mod traverse;
 mod triangle;
 mod upload;
+mod values;
 mod visits;
 mod widen;
 

@@ -20,8 +20,8 @@ fn mask_of(near: vec4<f32>, far: vec4<f32>) -> u32 {
     return bits.x | bits.y | bits.z | bits.w;
 }
 
-// A bit for each slot whose box the ray enters before `t_max`. `head` is the node's first word.
-fn entered(ray: SlabRay, head: vec4<u32>, first_word: u32, t_max: f32) -> u32 {
+// A bit for each slot whose box the ray enters before `t_max` and leaves after `t_min`. `head` is the node's first word.
+fn entered(ray: SlabRay, head: vec4<u32>, first_word: u32, t_min: f32, t_max: f32) -> u32 {
     let x = geometry(first_word + PLANES_WORD);
     let y = geometry(first_word + PLANES_WORD + 1u);
     let z = geometry(first_word + PLANES_WORD + 2u);
@@ -42,7 +42,7 @@ fn entered(ray: SlabRay, head: vec4<u32>, first_word: u32, t_max: f32) -> u32 {
     let last = vec4(t_max * HIT_SLACK);
     let near_0 = max(
         max(bytes(near_x.x) * step.x + near.x, bytes(near_y.x) * step.y + near.y),
-        max(bytes(near_z.x) * step.z + near.z, vec4(0f)),
+        max(bytes(near_z.x) * step.z + near.z, vec4(t_min)),
     );
     let far_0 = min(
         min(bytes(far_x.x) * step.x + far.x, bytes(far_y.x) * step.y + far.y),
@@ -50,7 +50,7 @@ fn entered(ray: SlabRay, head: vec4<u32>, first_word: u32, t_max: f32) -> u32 {
     );
     let near_1 = max(
         max(bytes(near_x.y) * step.x + near.x, bytes(near_y.y) * step.y + near.y),
-        max(bytes(near_z.y) * step.z + near.z, vec4(0f)),
+        max(bytes(near_z.y) * step.z + near.z, vec4(t_min)),
     );
     let far_1 = min(
         min(bytes(far_x.y) * step.x + far.x, bytes(far_y.y) * step.y + far.y),

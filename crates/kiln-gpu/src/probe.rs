@@ -3,6 +3,7 @@
 use crate::{
     GpuDevice, GpuError,
     flight::Call,
+    foliage::FoliageShape,
     gather::{LANES, SampleRecord},
     kernel::Kernel,
     sampling::Cones,
@@ -36,7 +37,8 @@ pub struct ProbedRay {
 }
 
 /// No scene is read.
-const NO_SCENE: SceneShape = SceneShape { bindings: 0, binding_shift: 0, stack_entries: 0, ray_queries: false };
+const NO_SCENE: SceneShape =
+    SceneShape { bindings: 0, binding_shift: 0, stack_entries: 0, ray_queries: false, foliage: FoliageShape::Nothing };
 
 impl GpuDevice {
     /// The rays of each sample, in the order in which they are traced. At most 4 Mi rays at a time.

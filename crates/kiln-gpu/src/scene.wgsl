@@ -15,8 +15,9 @@ struct SceneInfo {
     is_empty: u32,
     // 0, but no compiler knows.
     zero: u32,
-    padding_0: u32,
-    padding_1: u32,
+    // First word of the tree over foliage, where there is any.
+    foliage_words: u32,
+    padding: u32,
 }
 
 // This lane of the workgroup; entry points set it first.

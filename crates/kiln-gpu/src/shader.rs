@@ -1,12 +1,14 @@
 //! Shaders from their sources. WGSL has no includes: a kernel's modules are joined, after a prelude that is
 //! made for the shape of the scene.
 
+use crate::foliage::FoliageShape;
 use std::fmt::Write;
 
 /// The kernels, by entry point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Entry {
     Gather,
+    Values,
     Trace,
     AnyHit,
     Visits,
@@ -16,13 +18,14 @@ pub(crate) enum Entry {
 
 impl Entry {
     #[cfg(test)]
-    pub(crate) const ALL: [Self; 6] =
-        [Self::Gather, Self::Trace, Self::AnyHit, Self::Visits, Self::Directions, Self::HitValues];
+    pub(crate) const ALL: [Self; 7] =
+        [Self::Gather, Self::Values, Self::Trace, Self::AnyHit, Self::Visits, Self::Directions, Self::HitValues];
 
     /// The entry point's name.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::Gather => "gather",
+            Self::Values => "ray_values",
             Self::Trace => "trace",
             Self::AnyHit => "any_hit",
             Self::Visits => "count_visits",
@@ -36,25 +39,49 @@ impl Entry {
         !matches!(self, Self::Directions | Self::HitValues)
     }
 
-    fn modules(self, subgroups: bool, ray_queries: bool) -> Vec<&'static str> {
+    /// Whether it values rays, and so reads foliage.
+    fn is_valued(self) -> bool {
+        matches!(self, Self::Gather | Self::Values)
+    }
+
+    fn modules(self, shape: &SceneShape, subgroups: bool) -> Vec<&'static str> {
         const SAMPLING: &str = include_str!("sampling.wgsl");
         const KERNEL: &str = include_str!("kernel.wgsl");
-        const SCENE: [&str; 2] = [include_str!("scene.wgsl"), include_str!("triangle.wgsl")];
-        const SOFTWARE: [&str; 2] = [include_str!("node.wgsl"), include_str!("traverse.wgsl")];
-        const RAY_QUERIES: [&str; 1] = [include_str!("ray_query.wgsl")];
         const RAYS: &str = include_str!("rays.wgsl");
         let own: &[&str] = match self {
             Self::Gather if subgroups => {
                 &[SAMPLING, KERNEL, include_str!("gather.wgsl"), include_str!("reduce_subgroup.wgsl")]
             }
             Self::Gather => &[SAMPLING, KERNEL, include_str!("gather.wgsl"), include_str!("reduce.wgsl")],
+            Self::Values => &[KERNEL, include_str!("values.wgsl")],
             Self::Trace => &[RAYS, include_str!("trace.wgsl")],
             Self::AnyHit => &[RAYS, include_str!("any_hit.wgsl")],
             Self::Visits => &[RAYS, include_str!("visits.wgsl")],
             Self::Directions | Self::HitValues => &[SAMPLING, KERNEL, include_str!("probe.wgsl")],
         };
-        let traversal = if ray_queries { &RAY_QUERIES[..] } else { &SOFTWARE[..] };
-        if self.is_traced() { [&SCENE[..], traversal, own].concat() } else { own.to_vec() }
+        if self.is_traced() { [&self.traced_modules(shape)[..], own].concat() } else { own.to_vec() }
+    }
+
+    /// What kernels that read a scene have in common.
+    fn traced_modules(self, shape: &SceneShape) -> Vec<&'static str> {
+        const SCENE: [&str; 2] = [include_str!("scene.wgsl"), include_str!("triangle.wgsl")];
+        const WALK: [&str; 2] = [include_str!("node.wgsl"), include_str!("stack.wgsl")];
+        const VALUE: &str = include_str!("value.wgsl");
+        const FOLIAGE: &str = include_str!("foliage.wgsl");
+        let way = if shape.ray_queries { include_str!("ray_query.wgsl") } else { include_str!("traverse.wgsl") };
+        let walk = if self.walks(shape) { &WALK[..] } else { &[] };
+        let value: &[&str] = match shape.foliage {
+            _ if !self.is_valued() => &[],
+            FoliageShape::Nothing => &[VALUE, include_str!("no_foliage.wgsl")],
+            FoliageShape::Attenuate => &[VALUE, FOLIAGE, include_str!("attenuate.wgsl")],
+            FoliageShape::Expected => &[VALUE, FOLIAGE, include_str!("expected.wgsl")],
+        };
+        [&SCENE[..], walk, &[way], value].concat()
+    }
+
+    /// Whether it goes through a tree of our own.
+    fn walks(self, shape: &SceneShape) -> bool {
+        !shape.ray_queries || (self.is_valued() && shape.foliage != FoliageShape::Nothing)
     }
 }
 
@@ -65,10 +92,11 @@ pub(crate) struct SceneShape {
     pub(crate) bindings: u32,
     /// Each binding but the last holds `2^binding_shift` words of 16 bytes.
     pub(crate) binding_shift: u32,
-    /// Entries of the traversal stack; 0 with ray queries, which need none.
+    /// Entries of the traversal stack; 0 with ray queries, which need none, unless there is foliage.
     pub(crate) stack_entries: u32,
     /// Whether boxes are found by hardware ray queries.
     pub(crate) ray_queries: bool,
+    pub(crate) foliage: FoliageShape,
 }
 
 impl SceneShape {
@@ -82,7 +110,7 @@ impl SceneShape {
 /// kernel may use them.
 pub(crate) fn source(entry: Entry, shape: &SceneShape, subgroups: bool) -> String {
     let mut text = if entry.is_traced() { prelude(entry, shape) } else { String::new() };
-    for module in entry.modules(subgroups, shape.ray_queries) {
+    for module in entry.modules(shape, subgroups) {
         text.push_str(module);
         text.push('\n');
     }
@@ -91,7 +119,7 @@ pub(crate) fn source(entry: Entry, shape: &SceneShape, subgroups: bool) -> Strin
 
 /// Declares the kernel's switches, the scene's bindings, and `geometry`, which makes one array of them.
 fn prelude(entry: Entry, shape: &SceneShape) -> String {
-    let mut text = traversal_prelude(shape);
+    let mut text = traversal_prelude(entry, shape);
     let _ = write!(
         text,
         "const ANY_HIT: bool = {};\nconst COUNT_VISITS: bool = {};\n\
@@ -117,12 +145,17 @@ fn prelude(entry: Entry, shape: &SceneShape) -> String {
 }
 
 /// Declares what one way of traversal needs. A directive comes before all else.
-fn traversal_prelude(shape: &SceneShape) -> String {
-    if !shape.ray_queries {
-        return format!("const STACK_ENTRIES: u32 = {}u;\n", shape.stack_entries);
+fn traversal_prelude(entry: Entry, shape: &SceneShape) -> String {
+    let mut text = String::new();
+    if shape.ray_queries {
+        let binding = shape.structure_binding();
+        let _ = writeln!(text, "enable wgpu_ray_query;");
+        let _ = writeln!(text, "@group(1) @binding({binding}) var boxes: acceleration_structure;");
     }
-    let binding = shape.structure_binding();
-    format!("enable wgpu_ray_query;\n@group(1) @binding({binding}) var boxes: acceleration_structure;\n")
+    if entry.walks(shape) {
+        let _ = writeln!(text, "const STACK_ENTRIES: u32 = {}u;", shape.stack_entries);
+    }
+    text
 }
 
 #[cfg(test)]
@@ -148,14 +181,29 @@ mod tests {
 
     #[test]
     fn every_shader_is_valid() {
-        let shapes = [(1, 31, 4), (2, 23, 12), (8, 27, 40), (1, 31, 0), (3, 20, 0)];
+        let sizes = [(1, 31, 4, false), (2, 23, 12, false), (8, 27, 40, false), (1, 31, 8, true), (3, 20, 16, true)];
         for entry in Entry::ALL {
-            for (bindings, binding_shift, stack_entries) in shapes {
-                let ray_queries = stack_entries == 0;
-                for subgroups in [false, true] {
-                    check(entry, &SceneShape { bindings, binding_shift, stack_entries, ray_queries }, subgroups);
+            for (bindings, binding_shift, stack_entries, ray_queries) in sizes {
+                for foliage in [FoliageShape::Nothing, FoliageShape::Attenuate, FoliageShape::Expected] {
+                    let needs_stack = !ray_queries || foliage != FoliageShape::Nothing;
+                    let stack_entries = if needs_stack { stack_entries } else { 0 };
+                    let shape = SceneShape { bindings, binding_shift, stack_entries, ray_queries, foliage };
+                    [false, true].into_iter().for_each(|subgroups| check(entry, &shape, subgroups));
                 }
             }
+        }
+    }
+
+    /// Kernels of scenes without foliage have nothing of it.
+    #[test]
+    fn foliage_is_compiled_where_there_is_any() {
+        let shape =
+            |foliage| SceneShape { bindings: 1, binding_shift: 31, stack_entries: 4, ray_queries: false, foliage };
+        for entry in Entry::ALL {
+            let text = |foliage| source(entry, &shape(foliage), false);
+            assert!(!text(FoliageShape::Nothing).contains("walk_foliage"), "{}", entry.name());
+            let is_valued = text(FoliageShape::Expected).contains("walk_foliage");
+            assert_eq!(is_valued, matches!(entry, Entry::Gather | Entry::Values), "{}", entry.name());
         }
     }
 }

@@ -35,7 +35,7 @@ impl From<HitRecord> for Hit {
 /// Finds the closest hits.
 pub(crate) fn run(tracer: &GpuTracer, rays: &[Ray], hits: &mut [Hit]) -> Result<(), TraceError> {
     let group_bytes = u64::from(LANES) * size_of::<HitRecord>() as u64;
-    rays::run(tracer, Entry::Trace, rays, group_bytes, |range, bytes| {
+    rays::run(tracer, &rays::Kind::of_hits(Entry::Trace, group_bytes), rays, |range, bytes| {
         for (hit, record) in hits[range].iter_mut().zip(bytes.chunks_exact(size_of::<HitRecord>())) {
             *hit = pod_read_unaligned::<HitRecord>(record).into();
         }

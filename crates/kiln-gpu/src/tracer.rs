@@ -4,16 +4,17 @@ use crate::{
     GpuDevice, GpuError, Visits, any_hit,
     budget::Budget,
     device::{CompiledKernel, lock},
+    foliage::FoliageShape,
     gather::Gather,
     shader::Entry,
     trace,
     traverse::SceneBuffers,
-    visits,
+    values, visits,
 };
 use glam::Vec3;
 use kiln_trace::{
-    CosineSums, Hit, KernelRates, MAX_RAYS_PER_SAMPLE, Ray, Scene, SpherePoint, SphereSums, SurfaceSample, TraceError,
-    Tracer, gather_sphere_by_rays,
+    CosineSums, FoliageView, Hit, KernelRates, MAX_RAYS_PER_SAMPLE, Ray, RayValue, Scene, SpherePoint, SphereSums,
+    SurfaceSample, TraceError, Tracer, gather_sphere_by_rays, gather_sphere_by_values,
 };
 use std::{
     sync::{Arc, Mutex},
@@ -56,6 +57,12 @@ impl GpuTracer {
         // Compiled here, so that a driver that cannot is known before there is work.
         gpu.kernel(Entry::Gather, &scene.shape)?;
         Ok(Self { gpu, scene, budget: Mutex::new(Budget::new()) })
+    }
+
+    /// Whether this tracer knows all that rays go through in a scene; else only the processor's does.
+    pub fn knows(scene: &Scene) -> bool {
+        let is_known = |what| matches!(what, FoliageView::Crossings(_) | FoliageView::Fog { .. });
+        scene.foliage().is_none_or(|foliage| foliage.objects().all(|(_, what)| is_known(what)))
     }
 
     /// The device.
@@ -138,7 +145,11 @@ impl Tracer for GpuTracer {
     ) -> Result<(), TraceError> {
         assert_eq!(points.len(), sums.len(), "one sum for each point");
         // There is no kernel for it yet (docs/gpu.md).
-        gather_sphere_by_rays(self, points, kernel, rays_per_point, sums)
+        if self.scene.shape.foliage == FoliageShape::Nothing {
+            return gather_sphere_by_rays(self, points, kernel, rays_per_point, sums);
+        }
+        let trace = |rays: &[Ray], found: &mut [RayValue]| values::run(self, kernel, rays, found);
+        gather_sphere_by_values(points, kernel, rays_per_point, sums, trace)
     }
 
     fn trace(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<(), TraceError> {

@@ -1,4 +1,4 @@
-//! A scene on the device; the host side of `scene.wgsl` and `traverse.wgsl`. [`crate::ray_query`] is the other way of traversal.
+//! A scene on the device; the host side of `scene.wgsl`, `stack.wgsl` and `traverse.wgsl`. [`crate::ray_query`] is the other way of traversal.
 //!
 //! # Data
 //!
@@ -34,6 +34,7 @@ use crate::{
     GpuDevice, acceleration,
     boxes::Boxes,
     device::CALL_STORAGE_BUFFERS,
+    foliage::FoliageShape,
     layout::{Layout, WORD_BYTES},
     shader::SceneShape,
     triangle::MISS_RANK,
@@ -54,10 +55,19 @@ pub(crate) const MOST_DISTANCE: f32 = 3e38;
 struct SceneInfo {
     is_empty: u32,
     zero: u32,
-    padding: [u32; 2],
+    foliage_words: u32,
+    padding: u32,
 }
 
 const _: () = assert!(size_of::<SceneInfo>() == 16);
+
+impl SceneInfo {
+    #[expect(clippy::cast_possible_truncation, reason = "`shape` has checked the greatest word")]
+    fn of(scene: &Scene, layout: &Layout<'_>) -> Self {
+        let foliage_words = layout.foliage.as_ref().map_or(0, |foliage| foliage.first_word as u32);
+        Self { is_empty: u32::from(scene.is_empty()), zero: 0, foliage_words, padding: 0 }
+    }
+}
 
 /// A scene in the device's memory.
 #[derive(Debug)]
@@ -89,7 +99,7 @@ impl SceneBuffers {
             let words = (layout.total_words - binding * words_per_binding).min(words_per_binding);
             buffers.push(gpu.create_buffer("the scene's geometry", words * WORD_BYTES, usage)?);
         }
-        let info = SceneInfo { is_empty: u32::from(scene.is_empty()), zero: 0, padding: [0; 2] };
+        let info = SceneInfo::of(scene, &layout);
         let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
         let info_buffer = gpu.create_buffer("the scene's header", size_of::<SceneInfo>() as u64, usage)?;
         gpu.queue.write_buffer(&info_buffer, 0, bytes_of(&info));
@@ -110,7 +120,7 @@ impl SceneBuffers {
 }
 
 /// Spreads the geometry over bindings, or says that it does not fit.
-fn shape(gpu: &GpuDevice, scene: &Scene, layout: &Layout, binding_bytes: u64) -> Result<SceneShape, TraceError> {
+fn shape(gpu: &GpuDevice, scene: &Scene, layout: &Layout<'_>, binding_bytes: u64) -> Result<SceneShape, TraceError> {
     let limits = gpu.limits();
     let most = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size).min(binding_bytes);
     // Words are counted in 32 bits.
@@ -128,5 +138,6 @@ fn shape(gpu: &GpuDevice, scene: &Scene, layout: &Layout, binding_bytes: u64) ->
     }
     let bindings = u32::try_from(layout.total_words.div_ceil(1 << binding_shift)).unwrap_or(u32::MAX);
     let (stack_entries, ray_queries) = (layout.stack_entries(), layout.ray_queries);
-    Ok(SceneShape { bindings, binding_shift, stack_entries, ray_queries })
+    let foliage = FoliageShape::of(scene);
+    Ok(SceneShape { bindings, binding_shift, stack_entries, ray_queries, foliage })
 }

@@ -1,30 +1,4 @@
-// Traversal of both levels; traverse.rs says how. The generated prelude gives STACK_ENTRIES.
-
-// Entries of each lane's stack that lie in the workgroup's memory; the others are private.
-const SHARED_ENTRIES: u32 = min(STACK_ENTRIES, 8u);
-const SPILL_ENTRIES: u32 = max(STACK_ENTRIES, SHARED_ENTRIES + 1u) - SHARED_ENTRIES;
-
-// A group without nodes but one, the first of its level.
-const ROOT: vec2<u32> = vec2(0u, 0xff0001u);
-
-var<workgroup> shared_stack: array<vec2<u32>, SHARED_ENTRIES * LANES>;
-// Private, not local: a local would be cleared for every ray.
-var<private> spilled_stack: array<vec2<u32>, SPILL_ENTRIES>;
-
-fn push(depth: u32, group: vec2<u32>) {
-    if STACK_ENTRIES <= SHARED_ENTRIES || depth < SHARED_ENTRIES {
-        shared_stack[depth * LANES + lane] = group;
-    } else {
-        spilled_stack[depth - SHARED_ENTRIES] = group;
-    }
-}
-
-fn popped(depth: u32) -> vec2<u32> {
-    if STACK_ENTRIES <= SHARED_ENTRIES || depth < SHARED_ENTRIES {
-        return shared_stack[depth * LANES + lane];
-    }
-    return spilled_stack[depth - SHARED_ENTRIES];
-}
+// Traversal of both levels; traverse.rs says how.
 
 // Tests the triangles of the given leaves of a node. `leaves` is the node's second word.
 fn visit_leaves(
@@ -104,7 +78,7 @@ fn closest_hit(origin: vec3<f32>, direction: vec3<f32>, t_max: f32) -> ClosestHi
             }
             let head = geometry(first_word);
             let links = geometry(first_word + 1u);
-            let hits = entered(slab, head, first_word, hit.t);
+            let hits = entered(slab, head, first_word, 0f, hit.t);
             let nodes = head.w >> 24u;
             let is_top = instance == NO_INSTANCE;
             let children = select(nodes, links.y, is_top);

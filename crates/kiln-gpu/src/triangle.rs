@@ -19,7 +19,7 @@
 //! for bit, in whatever order and winding their meshes have them, and the tie rule decides.
 
 use bytemuck::{Pod, Zeroable};
-use kiln_trace::MeshBvh;
+use kiln_trace::{CrossingMesh, MeshBvh};
 
 /// Set in the rank of a back-face hit; keep in sync with `triangle.wgsl`.
 pub(crate) const BACK_BIT: u32 = 1 << 31;
@@ -34,7 +34,8 @@ pub(crate) struct TriangleRecord {
     /// Face index with `TWO_SIDED_BIT` and `FLIPPED_BIT`.
     primitive: u32,
     b: [f32; 3],
-    padding_b: u32,
+    /// What is lost where it is crossed; 0 where it stops rays.
+    depth: u32,
     c: [f32; 3],
     padding_c: u32,
 }
@@ -46,6 +47,12 @@ impl TriangleRecord {
     pub(crate) fn of(mesh: &MeshBvh, index: u32) -> Self {
         let (corners, primitive) = mesh.triangle(index);
         let [a, b, c] = corners.map(|corner| corner.to_array());
-        Self { a, primitive, b, padding_b: 0, c, padding_c: 0 }
+        Self { a, primitive, b, depth: 0, c, padding_c: 0 }
+    }
+
+    /// The triangle that a leaf of a mesh of trees names.
+    pub(crate) fn crossed(mesh: &CrossingMesh, index: u32) -> Self {
+        let record = Self::of(mesh.bvh(), index);
+        Self { depth: mesh.depth_of(record.primitive), ..record }
     }
 }

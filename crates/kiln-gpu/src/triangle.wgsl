@@ -105,13 +105,17 @@ fn closer(hit: ClosestHit, t: f32, is_counter_clockwise: bool, primitive: u32, i
     return hit;
 }
 
-fn intersect(
-    slab: SlabRay, sheared: ShearedRay, first_word: u32, instance: u32, closest: ClosestHit
-) -> ClosestHit {
-    let first = geometry(first_word);
-    let a = bitcast<vec3<f32>>(first.xyz);
-    let b = bitcast<vec3<f32>>(geometry(first_word + 1u).xyz);
-    let c = bitcast<vec3<f32>>(geometry(first_word + 2u).xyz);
+// Where the line of a ray goes through a triangle.
+struct Meeting {
+    // Not above 0 if it does not, or behind the ray.
+    t: f32,
+    is_counter_clockwise: bool,
+}
+
+fn meet(slab: SlabRay, sheared: ShearedRay, a_word: vec4<u32>, b_word: vec4<u32>, c_word: vec4<u32>) -> Meeting {
+    let a = bitcast<vec3<f32>>(a_word.xyz);
+    let b = bitcast<vec3<f32>>(b_word.xyz);
+    let c = bitcast<vec3<f32>>(c_word.xyz);
     let a_from_origin = rounded(a - slab.origin);
     let p = across(sheared, a_from_origin);
     let q = across(sheared, b - slab.origin);
@@ -121,10 +125,18 @@ fn intersect(
     let determinant = uvw.x + uvw.y + uvw.z;
     let is_inside = min(min(uvw.x, uvw.y), uvw.z) >= 0f || max(max(uvw.x, uvw.y), uvw.z) <= 0f;
     if is_inside && determinant != 0f {
-        let t = plane_distance(slab, sheared.direction, a, b, c, a_from_origin);
-        if t > 0f && t <= closest.t {
-            return closer(closest, t, determinant > 0f, first.w, instance);
-        }
+        return Meeting(plane_distance(slab, sheared.direction, a, b, c, a_from_origin), determinant > 0f);
+    }
+    return Meeting(-1f, false);
+}
+
+fn intersect(
+    slab: SlabRay, sheared: ShearedRay, first_word: u32, instance: u32, closest: ClosestHit
+) -> ClosestHit {
+    let first = geometry(first_word);
+    let meeting = meet(slab, sheared, first, geometry(first_word + 1u), geometry(first_word + 2u));
+    if meeting.t > 0f && meeting.t <= closest.t {
+        return closer(closest, meeting.t, meeting.is_counter_clockwise, first.w, instance);
     }
     return closest;
 }

@@ -22,7 +22,8 @@ pub struct Visits {
 /// Traces rays and counts.
 pub(crate) fn run(tracer: &GpuTracer, rays: &[Ray]) -> Result<Visits, TraceError> {
     let mut sum = Visits { rays: rays.len() as u64, ..Visits::default() };
-    rays::run(tracer, Entry::Visits, rays, 16 * u64::from(LANES), |range, bytes| {
+    let kind = rays::Kind::of_hits(Entry::Visits, 16 * u64::from(LANES));
+    rays::run(tracer, &kind, rays, |range, bytes| {
         for record in bytes.chunks_exact(16).take(range.len()) {
             let [nodes, triangles, instances, hit] = pod_read_unaligned::<[u32; 4]>(record).map(u64::from);
             sum.nodes += nodes;

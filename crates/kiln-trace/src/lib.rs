@@ -39,7 +39,7 @@ mod triangle;
 
 pub use cpu::CpuTracer;
 pub use directions::{cosine_direction, orthonormal_basis, sphere_direction};
-pub use foliage::{CrossingMesh, Foliage, FoliageObject};
+pub use foliage::{CrossingMesh, Foliage, FoliageObject, FoliageView};
 pub use harmonics::{HARMONICS, quadratic_harmonics};
 pub use kernel::{KernelRates, MAX_RAYS_PER_SAMPLE, ONE, REACH_EPSILON};
 pub use mesh_bvh::MeshBvh;
@@ -48,7 +48,9 @@ pub use open_sky::{is_open_above, open_sums};
 pub use path::Path;
 pub use scene::{PositionError, Scene, SceneInstance, SceneObject};
 pub use sobol::{SobolScramble, owen_scramble, sobol_digits, sobol_point};
-pub use sphere::{SpherePoint, SphereSums, gather_sphere_by_rays, sphere_directions};
+pub use sphere::{
+    RayValue, SpherePoint, SphereSums, gather_sphere_by_rays, gather_sphere_by_values, sphere_directions,
+};
 pub use stored::{BVH_REV, StoredBvhError};
 pub use tracer::{CosineSums, Hit, Ray, SurfaceSample, TraceError, Tracer};
 pub use triangle::{FLIPPED_BIT, TWO_SIDED_BIT};

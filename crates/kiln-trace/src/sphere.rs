@@ -10,7 +10,7 @@ use crate::{
 use glam::Vec3;
 use kiln_core::MAX_CHANNELS;
 
-/// Rays that are in memory at once where they are traced through [`Tracer::trace`]: 48 MB with their hits.
+/// Rays that are in memory at once where a tracer is given them one by one: 64 MB with their hits and values.
 const RAYS_PER_CALL: usize = 1 << 20;
 
 /// Rays that are traced together, where there are so many: a part of the sphere each.
@@ -95,16 +95,26 @@ fn add_product(sums: &mut [i32; HARMONICS], basis: &[f32; HARMONICS], value: u32
     }
 }
 
-/// What a ray that ends so brings, for each channel, in units of 2⁻¹⁶, without foliage.
-#[inline(always)]
-fn sphere_ray_values(kernel: &KernelRates, hit: &Hit) -> [u32; MAX_CHANNELS] {
-    let mut values = [ONE; MAX_CHANNELS];
-    if hit.is_hit() {
-        for (channel, value) in values.iter_mut().enumerate().take(kernel.channels) {
-            *value = kernel.hit_value(channel, hit.t);
+/// What a ray brings.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RayValue {
+    /// Its value for each channel, in units of 2⁻¹⁶; those of channels that are not used do not count.
+    pub values: [u32; MAX_CHANNELS],
+    /// Its closest hit is the back of a single-sided face.
+    pub back_face: bool,
+}
+
+impl RayValue {
+    /// Of a ray that ends so, without foliage.
+    fn of(kernel: &KernelRates, hit: &Hit) -> Self {
+        let mut values = [ONE; MAX_CHANNELS];
+        if hit.is_hit() {
+            for (channel, value) in values.iter_mut().enumerate().take(kernel.channels) {
+                *value = kernel.hit_value(channel, hit.t);
+            }
         }
+        Self { values, back_face: hit.is_hit() && hit.back_face }
     }
-    values
 }
 
 /// The first `rays` directions of a scrambled sequence, a power of two up to [`MAX_RAYS_PER_SAMPLE`], parted into cones
@@ -152,9 +162,28 @@ pub fn gather_sphere_by_rays(
     rays_per_point: u32,
     sums: &mut [SphereSums],
 ) -> Result<(), TraceError> {
+    let mut hits = Vec::new();
+    gather_sphere_by_values(points, kernel, rays_per_point, sums, |rays, values| {
+        hits.clear();
+        hits.resize(rays.len(), Hit::MISS);
+        tracer.trace(rays, &mut hits)?;
+        values.iter_mut().zip(&hits).for_each(|(value, hit)| *value = RayValue::of(kernel, hit));
+        Ok(())
+    })
+}
+
+/// [`Tracer::gather_sphere`] by the values of rays, which `trace` finds: one for each ray, a million rays at a time.
+/// `rays_per_point` is a power of two up to [`MAX_RAYS_PER_SAMPLE`]. Fails where `trace` does.
+pub fn gather_sphere_by_values(
+    points: &[SpherePoint],
+    kernel: &KernelRates,
+    rays_per_point: u32,
+    sums: &mut [SphereSums],
+    mut trace: impl FnMut(&[Ray], &mut [RayValue]) -> Result<(), TraceError>,
+) -> Result<(), TraceError> {
     let count = rays_per_point.max(1) as usize;
     let points_per_call = (RAYS_PER_CALL / count).max(1);
-    let (mut directions, mut rays, mut hits) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut directions, mut rays, mut values) = (Vec::new(), Vec::new(), Vec::new());
     for (points, sums) in points.chunks(points_per_call).zip(sums.chunks_mut(points_per_call)) {
         rays.clear();
         for point in points {
@@ -162,14 +191,13 @@ pub fn gather_sphere_by_rays(
             let ray = |direction: &Vec3| Ray { origin: point.origin, direction: *direction, t_max: kernel.t_max };
             rays.extend(directions.iter().map(ray));
         }
-        hits.clear();
-        hits.resize(rays.len(), Hit::MISS);
-        tracer.trace(&rays, &mut hits)?;
-        for ((sum, rays), hits) in sums.iter_mut().zip(rays.chunks(count)).zip(hits.chunks(count)) {
+        values.clear();
+        values.resize(rays.len(), RayValue::default());
+        trace(&rays, &mut values)?;
+        for ((sum, rays), values) in sums.iter_mut().zip(rays.chunks(count)).zip(values.chunks(count)) {
             *sum = SphereSums::default();
-            for (ray, hit) in rays.iter().zip(hits) {
-                let values = sphere_ray_values(kernel, hit);
-                sum.add(ray.direction, &values, kernel.channels, hit.is_hit() && hit.back_face);
+            for (ray, value) in rays.iter().zip(values) {
+                sum.add(ray.direction, &value.values, kernel.channels, value.back_face);
             }
         }
     }

@@ -3,6 +3,7 @@
 mod alone;
 mod contract;
 mod faults;
+mod foliage;
 mod oracles;
 mod probes;
 mod ray_queries;

@@ -14,9 +14,11 @@
 
 mod cross;
 mod through;
+mod view;
 
 pub(crate) use cross::{CrossBundle, FoliageMemory};
 pub(crate) use through::Lost;
+pub use view::FoliageView;
 
 use crate::{
     BvhLink, MeshBvh, SceneObject,

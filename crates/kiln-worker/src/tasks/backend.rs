@@ -29,21 +29,26 @@ impl Backend {
         }
     }
 
-    /// The lane that traces a scene: the processor's where rays go through foliage.
+    /// The lane that traces a scene: the processor's where rays go through what the device does not know.
     pub fn lane_of(&self, scene: &Scene) -> String {
-        if scene.foliage().is_some() { Self::Cpu.lane() } else { self.lane() }
+        if self.falls_back(scene) { Self::Cpu.lane() } else { self.lane() }
     }
 
-    /// A tracer over a scene. Where rays go through foliage it is the processor's, whatever the backend.
+    /// A tracer over a scene. Where rays go through what the device does not know it is the processor's.
     pub fn tracer(&self, scene: &Arc<Scene>) -> Result<Arc<dyn Tracer>, GpuError> {
         Ok(match self {
-            Self::Cpu => Arc::new(CpuTracer::new(Arc::clone(scene))),
-            Self::Gpu(device) if scene.foliage().is_some() => {
+            Self::Gpu(device) if self.falls_back(scene) => {
                 let card = device.describe();
-                tracing::warn!(%card, "rays through foliage are traced on the processor: the card's tracer has no foliage yet");
+                tracing::warn!(%card, "rays are traced on the processor: the card's tracer does not know all that they go through");
                 Arc::new(CpuTracer::new(Arc::clone(scene)))
             }
             Self::Gpu(device) => Arc::new(GpuTracer::new(Arc::clone(device), scene)?),
+            Self::Cpu => Arc::new(CpuTracer::new(Arc::clone(scene))),
         })
+    }
+
+    /// Whether the processor traces a scene in the device's place.
+    fn falls_back(&self, scene: &Scene) -> bool {
+        matches!(self, Self::Gpu(_)) && !GpuTracer::knows(scene)
     }
 }

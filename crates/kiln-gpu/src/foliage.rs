@@ -1,0 +1,163 @@
+//! Foliage on the device; the host side of `foliage.wgsl`, `attenuate.wgsl` and `expected.wgsl`.
+//!
+//! Once the closest hit of a ray is known, all foliage before it counts (kiln-trace's `foliage` says what for). Kernels that value
+//! rays have one of three endings, by [`FoliageShape`]: none (`no_foliage.wgsl`), so that a scene without foliage pays nothing, or
+//! one for each mode. Closest hits and any hits know of no foliage.
+//!
+//! # Data
+//!
+//! Behind the meshes lies the tree over all objects, made from the CPU's ([`crate::widen`]), its leaves among its nodes as a scene's
+//! instances are. A record has the rows of the transform, and where a tree's mesh starts, or a box of fog and its rate. The
+//! triangles of trees are those of opaque meshes, with their depth in a word that is not used there ([`crate::triangle`]).
+//!
+//! # The way
+//!
+//! A second walk of both levels, by software with ray queries too: nothing ends it, so there is no closest hit to be culled by, but all
+//! that is beyond the first walk's. Whether and where a face is crossed is the test of opaque faces.
+//!
+//! Mode `Attenuate` keeps one sum, whose order does not matter, and ends where nothing is left. Mode `Expected` needs events by
+//! distance: crossings, and where fog begins and ends. The walk keeps the nearest 16 of different distance, sorted by insertion (which moves
+//! little, as near children come first); what happens at one distance is one event, since depths and rates are integers that add up. If
+//! the list is full, boxes beyond its last event are no longer visited. The ray is then taken past these events, and as long as the list was
+//! full and something is left, the walk is done again for the next 16: events up to the last distance do not count in it, and
+//! boxes that end before are not visited. A distance is in one list only, with all that happens there, and is the same to the bit in each walk: so
+//! nothing is lost or counted twice, however many things coincide, and any number of layers needs the same memory.
+//!
+//! Rates of fog are 64 bits in two words, as the CPU's, so that what begins also ends, exactly. The rest is the CPU's arithmetic in
+//! f32 for all channels at once, but that the walk ends where less than 2⁻³² is left; see `expected.wgsl`.
+
+use crate::{
+    layout::{NODE_WORDS, TRIANGLE_WORDS},
+    node::WideNode,
+    triangle::TriangleRecord,
+    upload::Upload,
+    widen::{SourceTree, WideTree, widen},
+};
+use bytemuck::{Pod, Zeroable, cast, cast_slice};
+use glam::Vec3;
+use kiln_core::FoliageMode;
+use kiln_trace::{BvhChild, CrossingMesh, Foliage, FoliageView, Scene, SceneInstance, TraceError};
+use std::sync::Arc;
+
+/// Set in the last word of a record of fog; keep in sync with `foliage.wgsl`.
+const FOG_BIT: u32 = 1 << 31;
+
+/// What rays go through, as far as their shaders differ.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum FoliageShape {
+    Nothing,
+    Attenuate,
+    Expected,
+}
+
+impl FoliageShape {
+    pub(crate) fn of(scene: &Scene) -> Self {
+        match scene.foliage().map(Foliage::mode) {
+            Some(FoliageMode::Attenuate) => Self::Attenuate,
+            Some(FoliageMode::Expected) => Self::Expected,
+            // Of geometry there are no objects.
+            Some(FoliageMode::Geometry) | None => Self::Nothing,
+        }
+    }
+}
+
+impl SourceTree for Foliage {
+    const LEAVES_HAVE_RECORDS: bool = true;
+
+    fn children(&self, node: u32) -> Vec<BvhChild> {
+        self.children(node).collect()
+    }
+
+    fn bounds(&self, _: u32) -> (Vec3, Vec3) {
+        (Vec3::NEG_INFINITY, Vec3::INFINITY)
+    }
+}
+
+/// The record of an object: rows of the inverse transform; then where its mesh starts (nodes and triangles), or the corners of a box of
+/// fog, each followed by half of the rate.
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct ObjectRecord {
+    object_from_world: [[f32; 4]; 3],
+    words: [u32; 8],
+}
+
+const _: () = assert!(size_of::<ObjectRecord>() == size_of::<WideNode>());
+
+/// A mesh of trees, and the first words of its nodes and triangles.
+struct CrossingLayout<'a> {
+    mesh: &'a Arc<CrossingMesh>,
+    tree: WideTree,
+    starts: [u64; 2],
+}
+
+/// The device's trees of foliage, and where they go, in words.
+pub(crate) struct FoliageLayout<'a> {
+    foliage: &'a Foliage,
+    top: WideTree,
+    meshes: Vec<CrossingLayout<'a>>,
+    pub(crate) first_word: u64,
+    pub(crate) end_word: u64,
+}
+
+impl<'a> FoliageLayout<'a> {
+    /// From a word on; `None` where there is nothing.
+    pub(crate) fn of(scene: &'a Scene, first_word: u64) -> Option<Self> {
+        let foliage = scene.foliage()?;
+        let top = widen(foliage);
+        let mut at = first_word + top.nodes.len() as u64 * NODE_WORDS;
+        let mut meshes: Vec<CrossingLayout<'a>> = Vec::new();
+        for (_, object) in foliage.objects() {
+            let FoliageView::Crossings(mesh) = object else { continue };
+            if meshes.iter().any(|known| Arc::ptr_eq(known.mesh, mesh)) {
+                continue;
+            }
+            let tree = if mesh.bvh().is_empty() { WideTree::default() } else { widen(mesh.bvh()) };
+            let triangles = at + tree.nodes.len() as u64 * NODE_WORDS;
+            let end = triangles + tree.leaves.len() as u64 * TRIANGLE_WORDS;
+            meshes.push(CrossingLayout { mesh, tree, starts: [at, triangles] });
+            at = end;
+        }
+        Some(Self { foliage, top, meshes, first_word, end_word: at })
+    }
+
+    /// Nodes on the longest path through both levels.
+    pub(crate) fn depth(&self) -> u32 {
+        self.top.depth + self.meshes.iter().map(|mesh| mesh.tree.depth).max().unwrap_or(0)
+    }
+
+    /// Sends everything, in the order of the words.
+    pub(crate) fn send(&self, upload: &mut Upload<'_>) -> Result<(), TraceError> {
+        let mut records = self.top.nodes.clone();
+        let objects: Vec<(&SceneInstance, FoliageView<'_>)> = self.foliage.objects().collect();
+        for &(at, index) in &self.top.leaf_records {
+            let (place, what) = &objects[index as usize];
+            records[at] = cast(ObjectRecord { object_from_world: place.object_from_world, words: self.words(what) });
+        }
+        upload.write(cast_slice(&records))?;
+        for CrossingLayout { mesh, tree, .. } in &self.meshes {
+            upload.write(cast_slice(&tree.nodes))?;
+            for run in tree.leaves.chunks(1 << 16) {
+                let triangles: Vec<TriangleRecord> = run.iter().map(|&i| TriangleRecord::crossed(mesh, i)).collect();
+                upload.write(cast_slice(&triangles))?;
+            }
+        }
+        Ok(())
+    }
+
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "halves; words are checked to fit")]
+    fn words(&self, object: &FoliageView<'_>) -> [u32; 8] {
+        match object {
+            FoliageView::Crossings(mesh) => {
+                let starts = self.meshes.iter().find(|known| Arc::ptr_eq(known.mesh, mesh)).map(|known| known.starts);
+                let [nodes, triangles] = starts.unwrap_or_default();
+                [nodes as u32, triangles as u32, 0, 0, 0, 0, 0, 0]
+            }
+            FoliageView::Fog { min, max, rate } => {
+                let [a, b, c] = min.to_array().map(f32::to_bits);
+                let [d, e, f] = max.to_array().map(f32::to_bits);
+                [a, b, c, *rate as u32, d, e, f, (*rate >> 32) as u32 | FOG_BIT]
+            }
+        }
+    }
+}
