@@ -34,8 +34,8 @@ impl TaskKind {
     pub const fn kernel_rev(self) -> u32 {
         match self {
             Self::Volume | Self::Fit | Self::Read => 1,
-            Self::Import | Self::Solve => 4,
-            Self::Plan | Self::Export => 5,
+            Self::Solve => 4,
+            Self::Import | Self::Plan | Self::Export => 5,
             Self::Trace => 7,
         }
     }

@@ -132,6 +132,7 @@ impl Lines {
             faces: (0..faces.len() as u32).map(|face| [3 * face, 3 * face + 1, 3 * face + 2]).collect(),
             face_group: vec![0; faces.len()],
             groups: vec![group],
+            ..Mesh::default()
         };
         let object = SceneObject { mesh: 0, world_from_object: glam::DAffine3::IDENTITY };
         let tracer = CpuTracer::new(Arc::new(Scene::build(vec![Arc::new(MeshBvh::build(&alone))], &[object])));
@@ -176,6 +177,7 @@ mod tests {
             double_sided: true,
             occludes: false,
             foliage: Some(Foliage::Fog(given.map(|per_m| Density { per_m }))),
+            cutout: None,
             receives: true,
             max_samples_per_face: None,
         };
@@ -185,6 +187,7 @@ mod tests {
             faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
             face_group: vec![0; triangles.len()],
             groups: vec![group],
+            ..Mesh::default()
         }
     }
 

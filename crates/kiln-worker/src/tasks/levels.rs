@@ -270,6 +270,7 @@ pub fn ground_plane(level: &Level) -> Option<Mesh> {
         faces: vec![[0, 1, 2], [0, 2, 3]],
         face_group: vec![0, 0],
         groups: vec![group],
+        ..Mesh::default()
     })
 }
 
