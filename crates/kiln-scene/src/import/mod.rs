@@ -68,7 +68,7 @@ pub fn import(
     let placements = placements(&document, &mut findings)?;
     let only = only(settings)?;
     let rules = Rules { classes: &sidecar.classes, only, foliage: settings.foliage, output: &settings.output };
-    let gathered = gather(&document, &placements, &rules, &mut findings)?;
+    let gathered = gather(&document, files, &placements, &rules, &mut findings)?;
     check_only(settings, &gathered)?;
 
     let cast = cast_all(&gathered, settings)?;
