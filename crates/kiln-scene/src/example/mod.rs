@@ -8,6 +8,7 @@
 mod builder;
 mod case;
 pub mod closed_form;
+mod cutout;
 mod level;
 mod masonry;
 mod oracle;
@@ -21,7 +22,7 @@ pub use oracle::{Oracle, RECEIVER_GAP_M, oracle, oracles};
 
 type Entry = (&'static str, &'static str, fn() -> Vec<u8>);
 
-const COUNT: usize = 22;
+const COUNT: usize = 24;
 
 const EXAMPLES: [Entry; COUNT] = [
     (
@@ -48,6 +49,8 @@ const EXAMPLES: [Entry; COUNT] = [
     ("double_sided", "case: an open double-sided sheet over a floor", double_sided),
     ("gpu_instancing", "case: five instances of one node by EXT_mesh_gpu_instancing", gpu_instancing),
     ("quantized", "case: 16-bit positions and 8-bit normals by KHR_mesh_quantization", quantized),
+    ("cutout", "case: a lattice as an alpha mask on plates around a floor", cutout::cutout),
+    ("cutout_geometry", "case: the same lattice as geometry", cutout::cutout_geometry),
     ("empty", "case: a scene without a mesh", empty),
     ("triangle", "case: one triangle", triangle),
 ];
