@@ -69,7 +69,8 @@ fn plates_themselves_get_values_and_bakes_repeat() {
     let again = bake(&place, "cutout.glb", "again.glb", &[]);
     assert_eq!(again["rays"]["traced"], 0);
     // Another cutoff that leaves the mask as it is leaves the meshes as they are, too: nothing is traced again.
-    with_text(&place, "cutout.glb", "cutoff.glb", "\"name\":\"lattice\",\"alphaMode\"", "\"alphaCutoff\":0.8,\"alphaMode\"");
+    let (old, new) = ("\"name\":\"lattice\",\"alphaMode\"", "\"alphaCutoff\": 1,\"alphaMode\"");
+    with_text(&place, "cutout.glb", "cutoff.glb", old, new);
     assert_eq!(bake(&place, "cutoff.glb", "cutoff_baked.glb", &[])["rays"]["traced"], 0);
 }
 
@@ -103,4 +104,37 @@ fn an_image_beside_the_level_is_looked_at_and_a_missing_one_is_told_of() {
     bake(&place, "embedded.glb", "embedded_baked.glb", &["--only", "floor"]);
     assert_eq!(floor(&place, "with.glb"), floor(&place, "embedded_baked.glb"));
     assert!(rms_difference(&floor(&place, "with.glb"), &floor(&place, "without.glb")) > 0.05);
+}
+
+#[test]
+fn trees_with_a_texture_need_no_guess_at_their_holes() {
+    let place = Workplace::new();
+    place.succeed(&["example", "cutout", "-o", "cutout.glb"]);
+    let baked = |output: &str, rules: &str, mode: &str| {
+        std::fs::write(place.path("cutout.kiln.toml"), rules).expect("a folder");
+        let report = bake(&place, "cutout.glb", output, &["--only", "floor", "--foliage", mode]);
+        assert_eq!(report["warnings"], json!([]));
+        floor(&place, output)
+    };
+    let rule = |class: &str| format!("[[class]]\nmatch = 'plate*'\nclass = '{class}'\n");
+    let thin = format!("{}transmittance_per_crossing = 0.5\n", rule("tree"));
+    for mode in ["expected", "attenuate", "geometry"] {
+        let opaque = baked("opaque.glb", &rule("opaque"), mode);
+        let tree = baked("tree.glb", &rule("tree"), mode);
+        let thin = baked("thin.glb", &thin, mode);
+        assert_eq!(opaque, tree, "{mode}: what is opaque stops rays");
+        let mean = |values: &[f32]| values.iter().map(|ao| f64::from(*ao)).sum::<f64>() / values.len() as f64;
+        let lighter = mean(&thin) - mean(&tree);
+        assert!(if mode == "geometry" { lighter == 0.0 } else { lighter > 0.02 }, "{mode}: {lighter}");
+    }
+    // All of it: the trees' own numbers, too.
+    std::fs::write(place.path("cutout.kiln.toml"), rule("tree")).expect("a folder");
+    let report = bake(&place, "cutout.glb", "all.glb", &[]);
+    assert_eq!(report["foliage"]["models"][0]["instances"], json!(5));
+    // Shrubs: fog that knows of the holes is thinner than that of whole plates.
+    with_text(&place, "cutout.glb", "whole.glb", "\"alphaMode\"", "\"alphaMake\"");
+    std::fs::write(place.path("whole.kiln.toml"), rule("shrub")).expect("a folder");
+    bake(&place, "whole.glb", "whole_fog.glb", &["--only", "floor"]);
+    let (holes, whole) = (baked("fog.glb", &rule("shrub"), "expected"), floor(&place, "whole_fog.glb"));
+    assert!(holes.iter().sum::<f32>() > whole.iter().sum::<f32>() * 1.01);
 }

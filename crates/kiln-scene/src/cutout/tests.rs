@@ -211,6 +211,24 @@ fn meshes_share_masks_by_what_they_look_like() {
 }
 
 #[test]
+fn digests_of_meshes_tell_masks_and_coordinates() {
+    let digest = |fixture: &Fixture| fixture.import().unwrap().meshes[0].digest;
+    let fixture = masked(&png([4, 4], checkers));
+    let mut moved = fixture.clone();
+    let coordinates = moved.floats(&UV.map(|[u, v]| [u, v + 0.125]));
+    moved.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = json!(coordinates);
+    let mut whole = fixture.clone();
+    material(&mut whole)["alphaMode"] = json!("OPAQUE");
+    let mut mirrored = fixture.clone();
+    mirrored.json["samplers"] = json!([{ "magFilter": 9728, "wrapS": 33648 }]);
+    let other = masked(&png([4, 4], |at| 255 - checkers(at)));
+    let all: std::collections::BTreeSet<_> = [&fixture, &moved, &whole, &mirrored, &other].map(digest).into();
+    assert_eq!(all.len(), 5);
+    // Colours, and alpha on the same side of the cutoff, make no difference.
+    assert_eq!(digest(&masked(&png([4, 4], |at| checkers(at).clamp(100, 200)))), digest(&fixture));
+}
+
+#[test]
 fn coincident_faces_with_other_coordinates_are_kept() {
     let mut fixture = masked(&png([4, 4], checkers));
     let shifted = fixture.floats(&UV.map(|[u, v]| [u + 0.25, v]));
