@@ -15,13 +15,13 @@ const WRAPS: [Wrap; 3] = [Wrap::Repeat, Wrap::Mirrored, Wrap::Clamp];
 type Face = ([Vec3; 3], Option<[[f32; 2]; 3]>);
 
 /// Group 0 is whole, group 1 has the mask.
-fn mesh(faces: &[Face], mask: &Mask, masked: FaceGroup) -> Mesh {
+fn mesh(faces: &[Face], mask: &Mask, masked: &FaceGroup) -> Mesh {
     Mesh {
         positions: faces.iter().flat_map(|(corners, _)| corners.map(|corner| corner.to_array())).collect(),
         normals: vec![[0.0; 3]; 3 * faces.len()],
         faces: (0..faces.len() as u32).map(|face| [3 * face, 3 * face + 1, 3 * face + 2]).collect(),
         face_group: faces.iter().map(|(_, uv)| u16::from(uv.is_some())).collect(),
-        groups: vec![FaceGroup::PLAIN, FaceGroup { cutout: Some(0), ..masked }],
+        groups: vec![FaceGroup::PLAIN, FaceGroup { cutout: Some(0), ..masked.clone() }],
         cutouts: Cutouts {
             masks: vec![Arc::new(mask.clone())],
             corners: faces.iter().filter_map(|(_, uv)| *uv).collect(),
@@ -40,8 +40,8 @@ fn scene(meshes: &[Mesh], places: &[(usize, DAffine3)]) -> Scene {
 fn trace(scene: Scene, rays: &[Ray], path: Path) -> (Vec<Hit>, Vec<bool>) {
     let tracer = CpuTracer::with_path(Arc::new(scene), path);
     let (mut hits, mut blocked) = (vec![Hit::MISS; rays.len()], vec![false; rays.len()]);
-    tracer.trace(rays, &mut hits).unwrap();
-    tracer.any_hit(rays, &mut blocked).unwrap();
+    tracer.trace(rays, &mut hits).expect("the processor traces");
+    tracer.any_hit(rays, &mut blocked).expect("the processor traces");
     (hits, blocked)
 }
 
@@ -124,7 +124,7 @@ proptest! {
         rays in prop::collection::vec((vec3(), vec3(), 0.5f32..6.0), 1..130), is_shared: bool,
     ) {
         let masked = FaceGroup { double_sided, ..FaceGroup::PLAIN };
-        let meshes: Vec<Mesh> = faces.iter().map(|faces| mesh(faces, &mask, masked.clone())).collect();
+        let meshes: Vec<Mesh> = faces.iter().map(|faces| mesh(faces, &mask, &masked)).collect();
         let places: Vec<_> = places.into_iter().map(|(mesh, place)| (mesh.index(meshes.len()), place)).collect();
         let first = rays[0].0;
         let ray = |(origin, direction, t_max): &(Vec3, Vec3, f32)| {
@@ -173,7 +173,7 @@ proptest! {
         let places: Vec<_> = places.into_iter().map(|place| (0, place)).collect();
         let masked = FaceGroup { double_sided, ..FaceGroup::PLAIN };
         let sums = |mesh: Mesh| gathered(scene(&[mesh], &places), &samples, &kernel);
-        let with = |opaque| mesh(&faces, &Mask::uniform(opaque), masked.clone());
+        let with = |opaque| mesh(&faces, &Mask::uniform(opaque), &masked);
         let as_whole = |keeps: bool| {
             let mut whole = with(true);
             whole.groups[1] = FaceGroup { occludes: keeps, ..masked.clone() };
@@ -194,10 +194,10 @@ fn sample(origin: Vec3, normal: Vec3, seed: u32) -> SurfaceSample {
 fn gathered(scene: Scene, samples: &[SurfaceSample], kernel: &KernelRates) -> (Vec<CosineSums>, Vec<SphereSums>) {
     let tracer = CpuTracer::new(Arc::new(scene));
     let mut sums = vec![CosineSums::default(); samples.len()];
-    tracer.gather_cosine(samples, kernel, 64, &mut sums).unwrap();
+    tracer.gather_cosine(samples, kernel, 64, &mut sums).expect("the processor traces");
     let points: Vec<_> = samples.iter().map(|s| SpherePoint { origin: s.origin, scramble: s.scramble }).collect();
     let mut spheres = vec![SphereSums::default(); points.len()];
-    tracer.gather_sphere(&points, kernel, 64, &mut spheres).unwrap();
+    tracer.gather_sphere(&points, kernel, 64, &mut spheres).expect("the processor traces");
     (sums, spheres)
 }
 
@@ -225,7 +225,7 @@ fn coincident_faces_with_other_holes_are_not_one() {
     let place = [(0, DAffine3::IDENTITY)];
     let hits = |faces: &[Face]| {
         let (_, blocked) =
-            trace(scene(&[mesh(faces, &half(), FaceGroup::PLAIN)], &place), &[up(-1.0), up(1.0)], Path::detect());
+            trace(scene(&[mesh(faces, &half(), &FaceGroup::PLAIN)], &place), &[up(-1.0), up(1.0)], Path::detect());
         blocked
     };
     assert_eq!(hits(&ceiling(1.0, 2.0)), [false, true]);
@@ -242,13 +242,13 @@ fn nothing_counts_beyond_the_hit_of_a_cutout() {
         ..FaceGroup::PLAIN
     };
     let whole: Vec<Face> = ceiling(2.0, 1e4).map(|(corners, _)| (corners, None)).into();
-    let leaves = Mesh { groups: vec![tree], ..mesh(&whole, &half(), FaceGroup::PLAIN) };
+    let leaves = Mesh { groups: vec![tree], ..mesh(&whole, &half(), &FaceGroup::PLAIN) };
     let leaves = Arc::new(CrossingMesh::build(&leaves).expect("foliage"));
     for mode in [FoliageMode::Attenuate, FoliageMode::Expected] {
         let ao = |mask: Mask, foliage: bool| {
             let object = FoliageObject::Crossings { mesh: Arc::clone(&leaves), world_from_object: DAffine3::IDENTITY };
             let objects = if foliage { vec![object] } else { Vec::new() };
-            let scene = scene(&[mesh(&ceiling(1.0, 1e4), &mask, FaceGroup::PLAIN)], &[(0, DAffine3::IDENTITY)]);
+            let scene = scene(&[mesh(&ceiling(1.0, 1e4), &mask, &FaceGroup::PLAIN)], &[(0, DAffine3::IDENTITY)]);
             gathered(scene.with_foliage(Foliage::build(&objects, mode)), &[sample(Vec3::ZERO, Vec3::Y, 3)], &kernel).0
                 [0]
         };
@@ -267,7 +267,7 @@ fn trees_lose_nothing_at_their_holes() {
             ..FaceGroup::PLAIN
         };
         let ao = |kept: f64| {
-            let mesh = mesh(&ceiling(1.0, 60.0), &half(), leaf(kept));
+            let mesh = mesh(&ceiling(1.0, 60.0), &half(), &leaf(kept));
             let world_from_object = DAffine3::IDENTITY;
             let objects: Vec<_> = CrossingMesh::build(&mesh)
                 .into_iter()
@@ -291,11 +291,11 @@ fn trees_lose_nothing_at_their_holes() {
 #[test]
 fn what_has_holes_is_no_open_sky() {
     let above = |y: f32| {
-        let scene = scene(&[mesh(&ceiling(y, 1.0), &half(), FaceGroup::PLAIN)], &[(0, DAffine3::IDENTITY)]);
+        let scene = scene(&[mesh(&ceiling(y, 1.0), &half(), &FaceGroup::PLAIN)], &[(0, DAffine3::IDENTITY)]);
         assert!(!scene.is_empty() && scene.has_cutouts());
         is_open_above(&scene, Vec3::ZERO, Vec3::Y, 100.0)
     };
     assert!(!above(5.0) && above(-5.0) && above(500.0));
     let whole: Vec<Face> = ceiling(1.0, 1.0).map(|(corners, _)| (corners, None)).into();
-    assert!(!scene(&[mesh(&whole, &half(), FaceGroup::PLAIN)], &[(0, DAffine3::IDENTITY)]).has_cutouts());
+    assert!(!scene(&[mesh(&whole, &half(), &FaceGroup::PLAIN)], &[(0, DAffine3::IDENTITY)]).has_cutouts());
 }
