@@ -143,6 +143,7 @@ mod tests {
             faces: vec![[0, 1, 2], [0, 2, 3]],
             face_group: vec![0, 0],
             groups: vec![group],
+            ..Mesh::default()
         }
     }
 

@@ -165,5 +165,6 @@ fn mesh(part: &BakedPart, origin: DVec3) -> Mesh {
         faces: part.faces.clone(),
         face_group: vec![0; part.faces.len()],
         groups: vec![FaceGroup { double_sided: part.double_sided, ..FaceGroup::PLAIN }],
+        ..Mesh::default()
     }
 }

@@ -1,5 +1,6 @@
 //! Meshes as Kiln works on them: cleaned, with faces in Morton order, in object space.
 
+use crate::{Cutouts, mesh_form::GroupForm};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +56,11 @@ impl OpticalDepth {
         Self((depth.clamp(0.0, Self::MOST) * 65536.0).round() as u32)
     }
 
+    /// Whether nothing at all is kept.
+    pub fn keeps_nothing(self) -> bool {
+        f64::from(self.0) >= Self::MOST * 65536.0
+    }
+
     /// The part of the visibility that is kept, 0 to 1.
     pub fn transmittance(self) -> f64 {
         (-f64::from(self.0) / 65536.0).exp2()
@@ -93,6 +99,7 @@ pub struct Fog {
 
 /// What faces of one primitive have in common.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(from = "GroupForm", into = "GroupForm")]
 pub struct FaceGroup {
     /// The class that the rules give.
     pub class: Class,
@@ -102,6 +109,9 @@ pub struct FaceGroup {
     pub occludes: bool,
     /// What the faces do to rays that they do not stop.
     pub foliage: Option<Foliage>,
+    /// The faces are there only where a mask is opaque, by its index in [`Cutouts::masks`]; what is said of stopping rays holds
+    /// for what is there.
+    pub cutout: Option<u16>,
     /// These faces get samples.
     pub receives: bool,
     /// A cap on the samples per face that a rule sets, of 256 rays each: adaptive sampling, whose samples have fewer rays,
@@ -116,17 +126,35 @@ impl FaceGroup {
         double_sided: false,
         occludes: true,
         foliage: None,
+        cutout: None,
         receives: true,
         max_samples_per_face: None,
     };
+
+    /// Whether rays are stopped by all of each face.
+    pub fn is_solid(&self) -> bool {
+        self.occludes && self.cutout.is_none()
+    }
+
+    /// Whether rays are stopped where a mask is opaque. Where foliage keeps nothing there, no guess at its holes is needed:
+    /// it is geometry that has them.
+    pub fn stops_where_opaque(&self) -> bool {
+        let keeps_nothing = matches!(self.foliage, Some(Foliage::Crossing(depth)) if depth.keeps_nothing());
+        self.cutout.is_some() && (self.occludes || keeps_nothing)
+    }
+
+    /// Whether hits on either side count as front: foliage has no back.
+    pub fn is_front_from_both_sides(&self) -> bool {
+        self.double_sided || self.foliage.is_some()
+    }
 }
 
 /// A mesh in object space, metres before the instance's transform.
 ///
 /// Faces are in Morton order of their centroids, so that a contiguous range is compact; vertices are in the
 /// order of the source. Positions are finite, indices in range, no face is degenerate and no two faces of one
-/// mesh have the same corners, facing and group.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Default)]
+/// mesh have the same corners, facing, group and texture coordinates.
+#[derive(Clone, Debug, PartialEq, Default)]
 pub struct Mesh {
     /// Vertex positions.
     pub positions: Vec<[f32; 3]>,
@@ -138,6 +166,8 @@ pub struct Mesh {
     pub face_group: Vec<u16>,
     /// What faces have in common; at most 65,536.
     pub groups: Vec<FaceGroup>,
+    /// The holes of the faces that have any.
+    pub cutouts: Cutouts,
 }
 
 impl Mesh {

@@ -50,7 +50,7 @@ impl TaskKind {
             Self::Points | Self::Read | Self::Resample => 1,
             Self::Volume | Self::Fit => 2,
             Self::Solve => 4,
-            Self::Import => 5,
+            Self::Import => 6,
             Self::Plan | Self::Export => 6,
             Self::Trace => 8,
         }

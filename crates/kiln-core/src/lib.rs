@@ -5,6 +5,7 @@
 //! travel and are stored in the encoding of [`codec`].
 
 pub mod codec;
+mod cutout;
 mod digest;
 mod foliage;
 mod geometry;
@@ -12,6 +13,7 @@ mod graph;
 mod graph_check;
 mod kind;
 mod level;
+mod mesh_form;
 mod moments;
 mod settings;
 mod skip;
@@ -20,6 +22,7 @@ mod summary;
 mod task;
 mod work;
 
+pub use cutout::{CutoutFace, Cutouts, Mask, Wrap};
 pub use digest::{Digest, DigestBuilder, DigestStream, ParseDigestError};
 pub use foliage::{InstanceNumbers, PointValues, TreeErrors, TreeFits};
 pub use geometry::{Bounds, Class, Density, FaceGroup, Fog, Foliage, Mesh, OpticalDepth};

@@ -75,6 +75,7 @@ fn scene() -> (Scene, Vec<DAffine3>) {
         face_group: vec![0; faces.len()],
         faces,
         groups: vec![group],
+        ..Mesh::default()
     };
     let turn = DQuat::from_rotation_x(0.7) * DQuat::from_rotation_z(2.1);
     let far = DVec3::new(900.0, -700.0, 40.0);

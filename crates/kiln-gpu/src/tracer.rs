@@ -61,8 +61,11 @@ impl GpuTracer {
 
     /// Whether this tracer knows all that rays go through in a scene; else only the processor's does.
     pub fn knows(scene: &Scene) -> bool {
-        let is_known = |what| matches!(what, FoliageView::Crossings(_) | FoliageView::Fog { .. });
-        scene.foliage().is_none_or(|foliage| foliage.objects().all(|(_, what)| is_known(what)))
+        let is_known = |what| match what {
+            FoliageView::Crossings(mesh) => !mesh.has_holes(),
+            FoliageView::Fog { .. } => true,
+        };
+        !scene.has_cutouts() && scene.foliage().is_none_or(|foliage| foliage.objects().all(|(_, what)| is_known(what)))
     }
 
     /// The device.

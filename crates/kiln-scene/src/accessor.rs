@@ -96,6 +96,7 @@ struct Sparse<'d> {
 }
 
 /// An accessor whose ranges are known to be good.
+#[derive(Clone)]
 pub(crate) struct Accessor<'d> {
     /// What refers to the accessor, for errors.
     pub(crate) reference: Item<'d>,
@@ -253,6 +254,13 @@ fn open_view<'d>(
             view_bytes.len()
         ))),
     }
+}
+
+/// All bytes of the buffer view that `reference` names by its index.
+pub(crate) fn whole_view<'d>(document: &'d Document<'_>, reference: &Item<'d>) -> Result<&'d [u8], SceneError> {
+    let (_, view) = document.list("bufferViews")?.resolve(reference)?;
+    let offset = view.get("byteOffset").map_or(Ok(0), |offset| offset.index())?;
+    view_bytes(document, &view, offset)
 }
 
 /// The bytes of a buffer view that starts at `offset`.

@@ -51,6 +51,8 @@ pub(crate) struct Subject<'a> {
     pub(crate) node: &'a str,
     pub(crate) mesh: &'a str,
     pub(crate) material: &'a Material,
+    /// There is a mask, and what it is, if it is the same everywhere.
+    pub(crate) mask: Option<Option<bool>>,
     /// The class from the node's extras, else from the mesh's.
     pub(crate) extras: Option<Class>,
 }
@@ -66,23 +68,43 @@ pub(crate) fn classify(
     let from_rule = rule.map(|index| &rules[index]);
     let class = from_rule.map(|rule| rule.class).or(subject.extras).or(subject.material.class).unwrap_or_default();
     let default_cap = (class == Class::Distant).then_some(DISTANT_SAMPLES_PER_FACE);
-    let foliage = if mode == FoliageMode::Geometry { None } else { foliage(class, from_rule) };
+    let foliage = if mode == FoliageMode::Geometry { None } else { foliage(class, from_rule, subject.mask.is_some()) };
     let stops = foliage.is_none() && class != Class::Decorator && !subject.material.transparent;
-    let group = FaceGroup {
+    let mut group = FaceGroup {
         class,
         double_sided: subject.material.double_sided,
         occludes: from_rule.and_then(|rule| rule.occludes).unwrap_or(stops),
         foliage,
+        cutout: None,
         receives: from_rule.and_then(|rule| rule.receives).unwrap_or(true),
         max_samples_per_face: from_rule.and_then(|rule| rule.max_samples_per_face).or(default_cap),
     };
+    if let Some(all) = subject.mask {
+        cut_out(&mut group, all);
+    }
     let inert = class == Class::Ignored || !(group.occludes || group.foliage.is_some() || group.receives);
     (if inert { Class::Ignored } else { class }, group, rule)
 }
 
-/// What faces of a class do to rays that they do not stop; nothing where a rule says whether they stop them.
-fn foliage(class: Class, rule: Option<&ClassRule>) -> Option<Foliage> {
-    let kept = rule.and_then(|rule| rule.transmittance_per_crossing).unwrap_or(TRANSMITTANCE_PER_CROSSING);
+/// Takes a mask into account: that there is one, or what follows where it is the same everywhere. The mask's index is not
+/// known here yet.
+fn cut_out(group: &mut FaceGroup, all: Option<bool>) {
+    let marked = Some(0);
+    match (all, group.foliage) {
+        (_, Some(Foliage::Fog(_))) => group.cutout = marked,
+        (Some(false), _) => (group.occludes, group.foliage) = (false, None),
+        // Nothing is kept because the texture says so: it has to say it to rays.
+        (Some(true), Some(Foliage::Crossing(depth))) if depth.keeps_nothing() => group.cutout = marked,
+        (Some(true), _) => {}
+        (None, foliage) => group.cutout = marked.filter(|_| group.occludes || foliage.is_some()),
+    }
+}
+
+/// What faces of a class do to rays that they do not stop; nothing where a rule says whether they stop them. What a face of a
+/// tree keeps is a guess at its holes, which is not needed where a mask says where they are.
+fn foliage(class: Class, rule: Option<&ClassRule>, is_masked: bool) -> Option<Foliage> {
+    let guess = if is_masked { 0.0 } else { TRANSMITTANCE_PER_CROSSING };
+    let kept = rule.and_then(|rule| rule.transmittance_per_crossing).unwrap_or(guess);
     let density = rule.and_then(|rule| rule.density_per_m).map(|per_m| Density { per_m });
     match class {
         _ if rule.is_some_and(|rule| rule.occludes.is_some()) => None,
@@ -107,7 +129,7 @@ mod tests {
         material: &Material,
         extras: Option<Class>,
     ) -> (Class, FaceGroup) {
-        let subject = Subject { node, mesh: "m", material, extras };
+        let subject = Subject { node, mesh: "m", material, mask: None, extras };
         let (class, group, _) = classify(rules, FoliageMode::Expected, &subject);
         (class, group)
     }
@@ -147,8 +169,37 @@ mod tests {
         assert_eq!(what(of("n", Some(Class::Decorator))), (false, None));
         assert_eq!(classify_node(&rules, "ghost", &Material::default(), None).0, Class::Ignored);
         // As geometry.
-        let subject = Subject { node: "oak", mesh: "m", material: &Material::default(), extras: None };
+        let subject = Subject { node: "oak", mesh: "m", material: &Material::default(), mask: None, extras: None };
         assert_eq!(what(classify(&rules, FoliageMode::Geometry, &subject).1), (true, None));
+    }
+
+    #[test]
+    fn masks_say_where_faces_are() {
+        let rules = rules(
+            "[[class]]\nmatch = 'pine'\nclass = 'tree'\ntransmittance_per_crossing = 0.25\n[[class]]\nmatch = 'oak'\n\
+             class = 'tree'\n[[class]]\nmatch = 'bush'\nclass = 'shrub'\n[[class]]\nmatch = 'grass'\nclass = 'decorator'\n",
+        );
+        let of = |node: &str, mode, all: Option<bool>| {
+            let material = Material::default();
+            let subject = Subject { node, mesh: "m", material: &material, mask: Some(all), extras: None };
+            let group = classify(&rules, mode, &subject).1;
+            (group.occludes, group.foliage, group.cutout.is_some())
+        };
+        let crossing = |kept| Some(Foliage::Crossing(OpticalDepth::of_transmittance(kept)));
+        let fog = Some(Foliage::Fog(None));
+        for (node, holes, all_opaque, all_transparent) in [
+            ("wall", (true, None, true), (true, None, false), (false, None, false)),
+            ("pine", (false, crossing(0.25), true), (false, crossing(0.25), false), (false, None, false)),
+            ("oak", (false, crossing(0.0), true), (false, crossing(0.0), true), (false, None, false)),
+            ("bush", (false, fog, true), (false, fog, true), (false, fog, true)),
+            ("grass", (false, None, false), (false, None, false), (false, None, false)),
+        ] {
+            let found = [None, Some(true), Some(false)].map(|all| of(node, FoliageMode::Expected, all));
+            assert_eq!(found, [holes, all_opaque, all_transparent], "{node}");
+            let whole = node != "grass";
+            let as_geometry = [None, Some(true), Some(false)].map(|all| of(node, FoliageMode::Geometry, all));
+            assert_eq!(as_geometry, [(whole, None, whole), (whole, None, false), (false, None, false)], "{node}");
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Reading a level, the files it refers to and its sidecar from disk: the one place here that touches a disk.
 
-use crate::{SceneError, SidecarText, SourceFiles, document::external_files};
+use crate::{SceneError, SidecarText, SourceFiles, cutout::mask_files, document::external_files};
 use std::{
     borrow::Cow,
     collections::BTreeMap,
@@ -45,7 +45,7 @@ pub enum ReadError {
 }
 
 impl LevelFiles {
-    /// Reads the level and everything it needs. The sidecar is the one given, or `LEVEL.kiln.toml` beside the level.
+    /// Reads the level and everything it needs, images that masks are made of if they are there. The sidecar is the one given, or `LEVEL.kiln.toml` beside the level.
     ///
     /// # Errors
     /// [`ReadError`] with the file that cannot be read.
@@ -57,6 +57,12 @@ impl LevelFiles {
         for path in external_files(&name, &bytes)? {
             let bytes = read(&folder.join(&path))?;
             files.insert(path, bytes);
+        }
+        // An image that is not there makes a warning of import, not an error.
+        for path in mask_files(&name, &bytes)? {
+            if let Ok(bytes) = fs::read(folder.join(&path)) {
+                files.entry(path).or_insert(bytes);
+            }
         }
         files.insert(name.clone(), bytes);
         let sidecar = sidecar.map(Path::to_path_buf).or_else(|| beside(level));

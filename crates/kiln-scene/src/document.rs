@@ -108,7 +108,7 @@ pub(crate) fn name_of(item: &Item<'_>, kind: &str, index: usize) -> String {
     name.map_or_else(|| format!("{kind} {index}"), str::to_owned)
 }
 
-fn parse_json<'a>(file: &str, bytes: &'a [u8]) -> Result<(Value, Option<Glb<'a>>), SceneError> {
+pub(crate) fn parse_json<'a>(file: &str, bytes: &'a [u8]) -> Result<(Value, Option<Glb<'a>>), SceneError> {
     let malformed = |problem: String, advice| SceneError::Malformed { file: file.to_owned(), problem, advice };
     let glb = is_glb(bytes).then(|| Glb::parse(bytes)).transpose();
     let glb = glb.map_err(|error| malformed(error.to_string(), "copy or export the file again"))?;

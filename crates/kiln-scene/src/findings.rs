@@ -1,5 +1,6 @@
 //! What import and export find worth saying, counted for each subject.
 
+use crate::cutout::MaskProblem;
 use kiln_core::Warning;
 use std::collections::BTreeMap;
 
@@ -20,7 +21,7 @@ pub(crate) enum Finding {
     FlatInstances,
     Skins,
     MorphTargets,
-    AlphaMask,
+    AlphaMask(MaskProblem),
     UnusedRule,
     UnusedBlend,
     NoDefaultScene,
@@ -50,7 +51,7 @@ impl Finding {
             Self::FlatInstances => "flat_instances",
             Self::Skins => "skins",
             Self::MorphTargets => "morph_targets",
-            Self::AlphaMask => "alpha_mask",
+            Self::AlphaMask(_) => "alpha_mask",
             Self::UnusedRule => "unused_rule",
             Self::UnusedBlend => "unused_blend",
             Self::NoDefaultScene => "no_default_scene",
@@ -80,7 +81,7 @@ impl Finding {
             Self::FlatInstances => ("instance flattened by its transform", "left out of the bake"),
             Self::Skins => ("instance with a skin", "baked where its node stands, without the skin"),
             Self::MorphTargets => ("primitive with morph targets", "baked in its base shape"),
-            Self::AlphaMask => ("face with alpha mode MASK", "baked as opaque: its texture is not looked at yet"),
+            Self::AlphaMask(problem) => ("face with alpha mode MASK", without_holes(problem)),
             Self::UnusedRule => ("class rule", "it matches nothing, or a rule before it matches first"),
             Self::UnusedBlend => ("blend", "not used, because the half-distances were set to another number"),
             Self::NoDefaultScene => ("scene not chosen as default", "all root nodes are baked together"),
@@ -98,6 +99,26 @@ impl Finding {
                 "level of detail whose full detail has nothing to be read",
                 "left out of the bake; the output keeps it",
             ),
+        }
+    }
+}
+
+/// What follows from a mask that cannot be had.
+const fn without_holes(problem: MaskProblem) -> &'static str {
+    match problem {
+        MaskProblem::Malformed => "baked without holes: its texture is not as glTF demands; export the level again",
+        MaskProblem::MissingImage => {
+            "baked without holes: its image is not in the level's folder; put it there, or embed it"
+        }
+        MaskProblem::Format => "baked without holes: its image is neither PNG nor JPEG; save it as PNG",
+        MaskProblem::Undecodable => "baked without holes: its image is damaged; save it again as PNG",
+        MaskProblem::TooLarge => {
+            "baked without holes: its image has more than 8192 × 8192 pixels, or all such images of the level have more \
+             than 8 times that; scale them down"
+        }
+        MaskProblem::NoCoordinates => {
+            "baked without holes: a primitive has no texture coordinates for it that fit its vertices; unwrap the mesh and \
+             export it with them"
         }
     }
 }

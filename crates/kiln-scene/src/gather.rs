@@ -5,8 +5,9 @@
 //! that will be read are checked against the limits before any of it is.
 
 use crate::{
-    SceneError,
+    SceneError, SourceFiles,
     classes::{Subject, class_from_extras, classify},
+    cutout::{MaskReader, MaskTrouble, PrimitiveMask},
     document::{Document, name_of},
     extensions,
     findings::{Finding, Findings},
@@ -55,6 +56,7 @@ pub(crate) struct Rules<'r> {
 /// Gathers the variants and instances of all placements.
 pub(crate) fn gather<'d>(
     document: &'d Document<'_>,
+    files: &dyn SourceFiles,
     placements: &[Placement],
     rules: &Rules<'_>,
     findings: &mut Findings,
@@ -63,6 +65,7 @@ pub(crate) fn gather<'d>(
         document,
         rules,
         materials: materials(document)?,
+        masks: MaskReader::new(document, files),
         meshes: HashMap::new(),
         variant_of: HashMap::new(),
         used_rules: BTreeSet::new(),
@@ -93,6 +96,8 @@ struct SourcePrimitive<'d> {
     item: Item<'d>,
     topology: Topology,
     material: Material,
+    /// Where its faces are, if a texture says so, or why that cannot be told.
+    mask: Option<Result<PrimitiveMask<'d>, MaskTrouble>>,
     has_color: bool,
 }
 
@@ -109,6 +114,7 @@ struct Gatherer<'d, 'b, 'r> {
     document: &'d Document<'b>,
     rules: &'r Rules<'r>,
     materials: Vec<Material>,
+    masks: MaskReader<'d, 'b, 'r>,
     meshes: HashMap<usize, SourceMesh<'d>>,
     variant_of: HashMap<(usize, Groups), usize>,
     used_rules: BTreeSet<usize>,
@@ -208,7 +214,7 @@ impl<'d> Gatherer<'d, '_, '_> {
         Ok(())
     }
 
-    fn read_mesh(&self, index: usize, findings: &mut Findings) -> Result<SourceMesh<'d>, SceneError> {
+    fn read_mesh(&mut self, index: usize, findings: &mut Findings) -> Result<SourceMesh<'d>, SceneError> {
         let missing = || self.document.root().invalid(format!("there is no mesh {index}"));
         let item = self.document.list("meshes")?.get(index).ok_or_else(missing)?;
         let name = name_of(&item, "mesh", index);
@@ -223,10 +229,12 @@ impl<'d> Gatherer<'d, '_, '_> {
                 continue;
             }
             findings.add(Finding::MorphTargets, &name, u64::from(primitive.list("targets")?.len() > 0));
+            let material = self.material(&primitive)?;
             primitives.push(SourcePrimitive {
                 index: index as u32,
                 topology,
-                material: self.material(&primitive)?,
+                mask: material.masked.map(|material| self.masks.of_primitive(&primitive, material)),
+                material,
                 has_color: attributes.get("COLOR_0").is_some(),
                 item: primitive,
             });
@@ -245,7 +253,14 @@ impl<'d> Gatherer<'d, '_, '_> {
         let extras = class_from_extras(node)?.or(mesh.class);
         let mut groups = Vec::with_capacity(mesh.primitives.len());
         for primitive in &mesh.primitives {
-            let subject = Subject { node: node_name, mesh: &mesh.name, material: &primitive.material, extras };
+            let mask = primitive.mask.as_ref().and_then(|mask| mask.as_ref().ok());
+            let subject = Subject {
+                node: node_name,
+                mesh: &mesh.name,
+                material: &primitive.material,
+                mask: mask.map(|mask| mask.all),
+                extras,
+            };
             let (class, group, rule) = classify(self.rules.classes, self.rules.foliage, &subject);
             self.used_rules.extend(rule);
             if class == Class::Ignored {
@@ -290,10 +305,16 @@ impl<'d> Gatherer<'d, '_, '_> {
         let mut primitives = Vec::new();
         for (primitive, group) in source.primitives.iter().zip(&key.1) {
             let Some(group) = group else { continue };
-            let opened =
+            let mut opened =
                 Primitive::open(self.document, &primitive.item, primitive.index, primitive.topology, group.clone())?;
-            let faces = opened.face_count() as u64;
-            findings.add(Finding::AlphaMask, &primitive.material.name, faces * u64::from(primitive.material.masked));
+            match &primitive.mask {
+                Some(Ok(mask)) if group.cutout.is_some() => opened.mask = Some(mask.clone()),
+                Some(Err(trouble)) => {
+                    let subject = trouble.subject(&primitive.material.name);
+                    findings.add(Finding::AlphaMask(trouble.problem), &subject, opened.face_count() as u64);
+                }
+                _ => {}
+            }
             primitives.push(opened);
         }
         self.totals.check(&source.item, &primitives)?;

@@ -10,7 +10,7 @@
 //! (accessors to triangles) → `clean` → `resolve` (settings), each a module that can be read alone.
 //!
 //! Limits that are known: skins and morph targets are baked in their node's place and base shape; Draco and meshopt
-//! compression are refused by name; alpha masks are baked as opaque; where a mesh is copied for several instances,
+//! compression are refused by name; the alpha of COLOR_0 has no say in alpha masks; where a mesh is copied for several instances,
 //! animation pointers into it go on to move the first only.
 
 mod accessor;
@@ -18,6 +18,7 @@ mod baked;
 mod classes;
 mod clean;
 mod composed;
+mod cutout;
 mod disk;
 mod document;
 mod error;

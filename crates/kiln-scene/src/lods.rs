@@ -189,7 +189,8 @@ mod tests {
 
     #[test]
     fn a_level_gets_what_the_full_detail_gets() {
-        for (class, gets) in [("tree", Gets::Global), ("shrub", Gets::Scalar), ("instanced", Gets::GlobalTraced)] {
+        for (class, gets) in [("tree", Gets::GlobalTraced), ("shrub", Gets::Scalar), ("instanced", Gets::GlobalTraced)]
+        {
             let (mut fixture, low) = fixture();
             let level = fixture.push("nodes", json!({ "name": "low", "mesh": low }));
             fixture.json["nodes"][0]["extensions"] = json!({ "MSFT_lod": { "ids": [level] } });

@@ -17,8 +17,8 @@ pub(crate) struct Material {
     pub(crate) double_sided: bool,
     /// Light comes through (alphaMode BLEND, or KHR_materials_transmission): it doesn't occlude.
     pub(crate) transparent: bool,
-    /// A texture decides where the face is (alphaMode MASK).
-    pub(crate) masked: bool,
+    /// Its index, if a texture decides where the face is (alphaMode MASK).
+    pub(crate) masked: Option<usize>,
     /// A class from the material's extras.
     pub(crate) class: Option<Class>,
 }
@@ -40,7 +40,7 @@ fn read(item: &Item<'_>, index: usize) -> Result<Material, SceneError> {
         name: name_of(item, "material", index),
         double_sided: item.get("doubleSided").map_or(Ok(false), |value| value.boolean())?,
         transparent: mode == "BLEND" || transmission > 0.0,
-        masked: mode == "MASK",
+        masked: (mode == "MASK").then_some(index),
         class: class_from_extras(item)?,
     })
 }

@@ -4,13 +4,16 @@
 use crate::{
     SceneError,
     accessor::{Accessor, Component},
-    clean::{Face, clean},
+    clean::{Coordinates, Face, clean},
+    cutout::PrimitiveMask,
     document::Document,
     extensions,
     json::Item,
+    limits,
 };
 use glam::DVec3;
-use kiln_core::{BakeSettings, Bounds, FaceGroup, Mesh, SkipRule, VertexBlock};
+use kiln_core::{BakeSettings, Bounds, FaceGroup, Mask, Mesh, SkipRule, VertexBlock};
+use std::sync::Arc;
 
 const DROP: &str = "repair the mesh, or drop such faces with --drop-bad-faces";
 
@@ -72,6 +75,8 @@ pub(crate) struct Primitive<'d> {
     indices: Option<Accessor<'d>>,
     /// What its faces are to the bake.
     pub(crate) group: FaceGroup,
+    /// Where its faces are, if the group has a mask.
+    pub(crate) mask: Option<PrimitiveMask<'d>>,
 }
 
 impl<'d> Primitive<'d> {
@@ -92,7 +97,7 @@ impl<'d> Primitive<'d> {
         if let Some(normal) = &normal {
             normal.expect_count(position.count, "POSITION")?;
         }
-        Ok(Self { index, topology, position, normal, indices: open(item.get("indices"))?, group })
+        Ok(Self { index, topology, position, normal, indices: open(item.get("indices"))?, group, mask: None })
     }
 
     /// Number of triangles, before cleaning.
@@ -180,6 +185,7 @@ struct Builder {
     accessors: Vec<usize>,
     blocks: Vec<VertexBlock>,
     faces: Vec<Face>,
+    coordinates: Coordinates,
     /// Which vertices some face of the source uses.
     referenced: Vec<bool>,
     tally: Tally,
@@ -195,12 +201,13 @@ impl Builder {
             self.blocks[block].primitives.push(primitive.index);
         }
         let first = self.blocks[block].first_vertex as usize;
-        let group = self.group(&primitive.group);
+        let group = self.group(primitive);
+        let coordinates = self.coordinates(primitive, first)?;
         self.tally.left_over += primitive.topology.left_over(primitive.corner_count()) as u64;
         let vertices = first..first + primitive.position.count;
         let before = primitive.normal.is_some().then(|| self.referenced[vertices.clone()].to_vec());
         for triangle in primitive.triangles()? {
-            self.add_face(primitive, triangle, first, group)?;
+            self.add_face(primitive, triangle, first, group, coordinates)?;
         }
         if let (Some(normal), Some(before)) = (&primitive.normal, before) {
             self.set_normals(normal, first, &before)?;
@@ -220,12 +227,41 @@ impl Builder {
         Ok(self.blocks.len() - 1)
     }
 
-    fn group(&mut self, group: &FaceGroup) -> u16 {
-        let known = self.mesh.groups.iter().position(|known| known == group);
+    fn group(&mut self, primitive: &Primitive<'_>) -> u16 {
+        let cutout = primitive.mask.as_ref().map(|mask| self.mask(&mask.mask));
+        let group = FaceGroup { cutout, ..primitive.group.clone() };
+        let known = self.mesh.groups.iter().position(|known| *known == group);
         known.unwrap_or_else(|| {
-            self.mesh.groups.push(group.clone());
+            self.mesh.groups.push(group);
             self.mesh.groups.len() - 1
         }) as u16
+    }
+
+    /// The index of a mask among those of the mesh.
+    fn mask(&mut self, mask: &Arc<Mask>) -> u16 {
+        let masks = &mut self.mesh.cutouts.masks;
+        let known = masks.iter().position(|known| Arc::ptr_eq(known, mask) || known == mask);
+        known.unwrap_or_else(|| {
+            masks.push(Arc::clone(mask));
+            masks.len() - 1
+        }) as u16
+    }
+
+    /// The texture coordinates of a primitive's vertices, where they have a say.
+    fn coordinates(&mut self, primitive: &Primitive<'_>, first_vertex: usize) -> Result<u16, SceneError> {
+        let Some((accessor, transform)) = primitive.mask.as_ref().and_then(|mask| mask.coordinates.as_ref()) else {
+            return Ok(Coordinates::NONE);
+        };
+        let values = accessor.vectors::<2>()?.into_iter().map(|uv| transform.apply(uv)).collect();
+        self.coordinates.add(first_vertex as u32, values).map_err(|found| {
+            let what = "texture coordinates of masked primitives of one mesh";
+            accessor.reference.too_big(
+                what,
+                found,
+                limits::VERTICES,
+                "split the mesh, or join primitives of one material",
+            )
+        })
     }
 
     fn add_face(
@@ -234,6 +270,7 @@ impl Builder {
         triangle: [u32; 3],
         first: usize,
         group: u16,
+        coordinates: u16,
     ) -> Result<(), SceneError> {
         if let Some(&vertex) = triangle.iter().find(|&&vertex| !primitive.has_vertex(vertex)) {
             self.tally.out_of_range += 1;
@@ -252,7 +289,7 @@ impl Builder {
             };
         }
         vertices.iter().for_each(|&vertex| self.referenced[vertex as usize] = true);
-        self.faces.push(Face { vertices, group });
+        self.faces.push(Face { vertices, group, coordinates });
         Ok(())
     }
 
@@ -278,7 +315,10 @@ impl Builder {
                 *position = [0.0; 3];
             }
         }
-        let cleaned = clean(&self.mesh.positions, self.faces, self.keep_duplicates);
+        let cleaned = clean(&self.mesh.positions, &self.coordinates, self.faces, self.keep_duplicates);
+        let has_mask = |face: &&Face| self.mesh.groups[usize::from(face.group)].cutout.is_some();
+        let masked = cleaned.faces.iter().filter(has_mask);
+        self.mesh.cutouts.corners = masked.map(|face| self.coordinates.of(face)).collect();
         self.tally.degenerate = cleaned.degenerate;
         self.tally.duplicate = cleaned.duplicate;
         self.mesh.face_group = cleaned.faces.iter().map(|face| face.group).collect();

@@ -4,6 +4,7 @@ use crate::{
     Hit, Scene,
     alone::{self, Leaves, MeshLeaves, Stack, precedes},
     bundle::{self, BundleLeaves, Hits, Memory},
+    cutout::CutoutBundle,
     foliage::{CrossBundle, FoliageMemory},
     node::{MAX_LEAF, WideNode},
     path::{Compiled, Kernel},
@@ -63,6 +64,13 @@ impl<const ANY: bool, const SHARED: bool> Kernel for TraceBundle<'_, ANY, SHARED
         let walk: bundle::Walk<'_, _, ANY, SHARED> =
             bundle::Walk { nodes: &scene.nodes, leaves, rays, mask, hits, memory: scene_memory };
         walk.run::<V>();
+        if let Some(cutouts) = &scene.cutouts {
+            let MeshMemory { memory, stack, .. } = mesh;
+            let leaves = &mut CutoutBundle { scene, cutouts, object, memory, stack };
+            let walk: bundle::Walk<'_, _, ANY, SHARED> =
+                bundle::Walk { nodes: &cutouts.nodes, leaves, rays, mask, hits, memory: scene_memory };
+            V::compiled(walk);
+        }
     }
 }
 

@@ -15,6 +15,7 @@ mod build;
 mod bundle;
 mod collapse;
 mod cpu;
+mod cutout;
 mod directions;
 mod foliage;
 mod harmonics;
@@ -38,6 +39,7 @@ mod tracer;
 mod triangle;
 
 pub use cpu::CpuTracer;
+pub use cutout::CutoutMesh;
 pub use directions::{cosine_direction, orthonormal_basis, sphere_direction};
 pub use foliage::{CrossingMesh, Foliage, FoliageObject, FoliageView};
 pub use harmonics::{HARMONICS, quadratic_harmonics};

@@ -9,9 +9,12 @@ use crate::{
     triangle::{FLIPPED_BIT, TWO_SIDED_BIT, TriangleRuns, face_of},
 };
 use glam::Vec3;
-use kiln_core::{Bounds, FaceGroup, Mesh};
+use kiln_core::{Bounds, CutoutFace, FaceGroup, Mesh};
 use rayon::prelude::*;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::{
+    collections::HashMap,
+    sync::atomic::{AtomicU64, Ordering::Relaxed},
+};
 
 /// A mesh's occluding faces in a BVH whose leaves are triangles that are tested side by side.
 ///
@@ -28,9 +31,9 @@ pub struct MeshBvh {
 }
 
 impl MeshBvh {
-    /// Builds over the faces whose group occludes.
+    /// Builds over the faces whose group occludes, but for those with holes ([`crate::CutoutMesh`]).
     pub fn build(mesh: &Mesh) -> Self {
-        Self::build_over(mesh, |group| group.occludes)
+        Self::build_over(mesh, FaceGroup::is_solid)
     }
 
     /// Builds over the faces of some groups.
@@ -97,7 +100,8 @@ pub(crate) fn occluders(mesh: &Mesh, is_in: impl Fn(&FaceGroup) -> bool + Sync) 
     let is_suspect = suspects(mesh, &stops);
     let joined = coincident(mesh, all.clone().filter(|face| is_suspect(*face)).collect());
     let with_bit = |face: u32, is_set: bool| face | if is_set { TWO_SIDED_BIT } else { 0 };
-    let mut ids: Vec<u32> = all.map(|face| with_bit(face, mesh.group(face as usize).double_sided)).collect();
+    let mut ids: Vec<u32> =
+        all.map(|face| with_bit(face, mesh.group(face as usize).is_front_from_both_sides())).collect();
     if !joined.is_empty() {
         let mut joined = joined.into_iter().peekable();
         ids.retain_mut(|id| match joined.next_if(|(face, _)| *face == face_of(*id)) {
@@ -135,18 +139,25 @@ fn suspects(mesh: &Mesh, stops: impl Fn(u32) -> bool + Sync) -> impl Fn(u32) -> 
 }
 
 /// Those of the given faces that coincide, in rising order: whether the first of each set is front from either side,
-/// nothing for the others.
+/// nothing for the others. Where there are textures, they have to be the same at each place.
 fn coincident(mesh: &Mesh, faces: Vec<u32>) -> Vec<(u32, Option<bool>)> {
+    let textures: HashMap<usize, CutoutFace> = mesh.cutout_faces().map(|face| (face.face, face)).collect();
     let key = |face: u32| {
-        let (key, is_even) = corner_key(mesh.corners(face as usize));
-        (key, face, is_even)
+        let corners = mesh.corners(face as usize);
+        let (order, is_even) = corner_order(corners);
+        let texture = textures.get(&(face as usize)).map(|cutout| {
+            let coordinates = order.map(|corner| cutout.corners[corner].map(|x| (x + 0.0).to_bits()));
+            (cutout.mask, coordinates)
+        });
+        ((order.map(|corner| bits_of(corners[corner])), texture), face, is_even)
     };
     let mut keyed: Vec<_> = faces.into_iter().map(key).collect();
     keyed.sort_unstable();
     let mut joined = Vec::new();
     for same in keyed.chunk_by(|a, b| a.0 == b.0).filter(|same| same.len() > 1) {
         let is_facing_both = same.iter().any(|&(.., is_even)| is_even != same[0].2);
-        let is_two_sided = is_facing_both || same.iter().any(|&(_, face, _)| mesh.group(face as usize).double_sided);
+        let is_two_sided =
+            is_facing_both || same.iter().any(|&(_, face, _)| mesh.group(face as usize).is_front_from_both_sides());
         let faces = same.iter().map(|&(_, face, _)| face);
         joined.extend(faces.enumerate().map(|(rank, face)| (face, (rank == 0).then_some(is_two_sided))));
     }
@@ -157,10 +168,11 @@ fn coincident(mesh: &Mesh, faces: Vec<u32>) -> Vec<(u32, Option<bool>)> {
 impl Occluder {
     /// A face as it stops rays; two-sided also because another one coincides with it.
     pub(crate) fn new(mesh: &Mesh, face: u32, two_sided: bool) -> Self {
-        let (bits, is_even) = corner_key(mesh.corners(face as usize));
+        let corners = mesh.corners(face as usize);
+        let (order, is_even) = corner_order(corners);
         let bit = |is_set: bool, bit: u32| if is_set { bit } else { 0 };
         Self {
-            corners: bits.map(|corner| Vec3::from_array(corner.map(f32::from_bits))),
+            corners: order.map(|corner| corners[corner] + 0.0),
             primitive: face | bit(two_sided, TWO_SIDED_BIT) | bit(!is_even, FLIPPED_BIT),
         }
     }
@@ -176,16 +188,21 @@ fn hash(corners: [Vec3; 3]) -> u64 {
     folded(a.wrapping_add(b).wrapping_add(c).wrapping_mul(MULTIPLIER))
 }
 
-/// The corners' bits in an order that does not depend on the winding, and whether that order is an even
+/// The bits of a position; the two zeros count as one.
+fn bits_of(corner: Vec3) -> [u32; 3] {
+    (corner + 0.0).to_array().map(f32::to_bits)
+}
+
+/// The corners in rising order of their bits, which does not depend on the winding, and whether that order is an even
 /// permutation of the face's.
-fn corner_key(corners: [Vec3; 3]) -> ([[u32; 3]; 3], bool) {
-    let mut bits = corners.map(|c| (c + 0.0).to_array().map(f32::to_bits));
-    let mut is_even = true;
+pub(crate) fn corner_order(corners: [Vec3; 3]) -> ([usize; 3], bool) {
+    let bits = corners.map(bits_of);
+    let (mut order, mut is_even) = ([0, 1, 2], true);
     for (i, j) in [(0, 1), (1, 2), (0, 1)] {
-        if bits[i] > bits[j] {
-            bits.swap(i, j);
+        if bits[order[i]] > bits[order[j]] {
+            order.swap(i, j);
             is_even = !is_even;
         }
     }
-    (bits, is_even)
+    (order, is_even)
 }

@@ -10,10 +10,13 @@ use crate::{
 use glam::Vec3;
 
 /// Whether no occluding triangle within `reach` (metres, a box's distance) has a corner above the plane through
-/// `origin` with unit normal `normal`, and no box of foliage. A ray above the plane then meets nothing.
+/// `origin` with unit normal `normal`, and no box of foliage or of faces with holes. A ray above the plane then meets nothing.
 pub fn is_open_above(scene: &Scene, origin: Vec3, normal: Vec3, reach: f32) -> bool {
     let plane = HalfSpace { normal, offset: normal.dot(origin), near: Some((origin, reach)) };
     if scene.foliage.as_ref().is_some_and(|foliage| any_above(&foliage.nodes, &plane, |_, _| true)) {
+        return false;
+    }
+    if scene.cutouts.as_ref().is_some_and(|cutouts| any_above(&cutouts.nodes, &plane, |_, _| true)) {
         return false;
     }
     !any_above(&scene.nodes, &plane, |index, _| {

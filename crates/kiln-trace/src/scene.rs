@@ -1,9 +1,10 @@
 //! Instances in two levels: what tracers trace.
 
 use crate::{
-    BvhChild, Foliage, MeshBvh,
+    BvhChild, CutoutMesh, Foliage, MeshBvh,
     boxed::Boxed,
     build::build,
+    cutout::SceneCutouts,
     node::{BvhLink, WideNode},
     ray::TracedRay,
 };
@@ -75,6 +76,8 @@ pub struct Scene {
     pub(crate) nodes: Vec<WideNode>,
     /// What rays go through, if there is anything.
     pub(crate) foliage: Option<Foliage>,
+    /// What stops rays but for its holes, if there is anything.
+    pub(crate) cutouts: Option<SceneCutouts>,
 }
 
 impl Scene {
@@ -85,17 +88,26 @@ impl Scene {
             let (min, max) = world_box(&meshes[object.mesh].bounds, &object.world_from_object)?;
             Some(Boxed::new(index as u32, min, max))
         };
-        let boxes = objects.iter().enumerate().filter_map(boxed).collect();
-        // A leaf is one instance, which has a tree of its own to go down.
-        let tree = build(boxes, 1);
-        let mut nodes = tree.nodes;
-        for reference in nodes.iter_mut().flat_map(|node| &mut node.children).filter(|child| **child != u32::MAX) {
-            if let BvhLink::Leaf { first, count } = BvhLink::of_reference(*reference) {
-                let first = tree.order[first as usize];
-                *reference = BvhLink::Leaf { first, count }.to_reference();
-            }
-        }
-        Self { meshes, instances, nodes, foliage: None }
+        let nodes = tree_over(objects.iter().enumerate().filter_map(boxed).collect());
+        Self { meshes, instances, nodes, foliage: None, cutouts: None }
+    }
+
+    /// Adds faces with holes: those of each mesh, in the order of the scene's meshes, under the objects that it was built of.
+    /// Rays that [`crate::CpuTracer`] traces go through the holes, whatever is asked of them.
+    pub fn with_cutouts(self, meshes: Vec<Option<Arc<CutoutMesh>>>, objects: &[SceneObject]) -> Self {
+        let boxed = |(index, object): (usize, &SceneObject)| {
+            let mesh = meshes.get(object.mesh)?.as_ref()?;
+            let (min, max) = world_box(&mesh.bvh.bounds, &object.world_from_object)?;
+            Some(Boxed::new(index as u32, min, max))
+        };
+        let nodes = tree_over(objects.iter().enumerate().filter_map(boxed).collect());
+        let cutouts = (!nodes.is_empty()).then_some(SceneCutouts { nodes, meshes });
+        Self { cutouts, ..self }
+    }
+
+    /// Whether some of what stops rays has holes.
+    pub fn has_cutouts(&self) -> bool {
+        self.cutouts.is_some()
     }
 
     /// Adds what rays go through, which [`crate::Tracer::gather_cosine`] takes into account; [`crate::Tracer::trace`] and
@@ -111,7 +123,7 @@ impl Scene {
 
     /// Whether nothing in it stops a ray; rays may go through something.
     pub fn is_empty(&self) -> bool {
-        self.nodes.is_empty()
+        self.nodes.is_empty() && self.cutouts.is_none()
     }
 
     /// The children of a node of the tree over the instances; a leaf is one instance. There is no node in an empty scene;
@@ -124,8 +136,22 @@ impl Scene {
     pub fn memory_bytes(&self) -> usize {
         let meshes: usize = self.meshes.iter().map(|mesh| mesh.memory_bytes()).sum();
         let foliage = self.foliage.as_ref().map_or(0, Foliage::memory_bytes);
-        meshes + size_of_val(self.nodes.as_slice()) + size_of_val(self.instances.as_slice()) + foliage
+        let cutouts = self.cutouts.as_ref().map_or(0, SceneCutouts::memory_bytes);
+        meshes + size_of_val(self.nodes.as_slice()) + size_of_val(self.instances.as_slice()) + foliage + cutouts
     }
+}
+
+/// The tree over boxes, each a leaf of its own that has a tree to go down; a leaf's index is the box's.
+fn tree_over(boxes: Vec<Boxed>) -> Vec<WideNode> {
+    let tree = build(boxes, 1);
+    let mut nodes = tree.nodes;
+    for reference in nodes.iter_mut().flat_map(|node| &mut node.children).filter(|child| **child != u32::MAX) {
+        if let BvhLink::Leaf { first, count } = BvhLink::of_reference(*reference) {
+            let first = tree.order[first as usize];
+            *reference = BvhLink::Leaf { first, count }.to_reference();
+        }
+    }
+    nodes
 }
 
 /// Bounds the distance between a point of an instance's surface and where a ray that starts there sees that surface,

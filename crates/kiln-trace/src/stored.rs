@@ -15,7 +15,7 @@ use crate::{
     triangle::{FLIPPED_BIT, TWO_SIDED_BIT, TriangleRuns, face_of},
 };
 use glam::Vec3;
-use kiln_core::{Bounds, Mesh};
+use kiln_core::{Bounds, FaceGroup, Mesh};
 
 /// Raised with every change of what [`MeshBvh::build`] gives or of the form in which it is stored.
 pub const BVH_REV: u32 = 3;
@@ -193,10 +193,10 @@ impl Reader<'_> {
             _ => return Err(wrong("a face is named twice, or is not the mesh's")),
         }
         let (group, is_two_sided) = (self.mesh.group(face), id & TWO_SIDED_BIT != 0);
-        if !group.occludes || (group.double_sided && !is_two_sided) {
+        if !group.is_solid() || (group.is_front_from_both_sides() && !is_two_sided) {
             return Err(wrong("a face stops other rays than the mesh says"));
         }
-        self.has_joined |= is_two_sided && !group.double_sided;
+        self.has_joined |= is_two_sided && !group.is_front_from_both_sides();
         let Occluder { corners, primitive } = Occluder::new(self.mesh, face_of(id), is_two_sided);
         if primitive != id {
             return Err(wrong("a face has another winding than the mesh says"));
@@ -216,14 +216,14 @@ impl Reader<'_> {
         if self.is_filled.contains(&false) {
             return Err(wrong("triangles are in no leaf"));
         }
-        let occluding = (0..self.mesh.faces.len()).filter(|&face| self.mesh.group(face).occludes).count();
+        let occluding = (0..self.mesh.faces.len()).filter(|&face| self.mesh.group(face).is_solid()).count();
         if self.ids.len() == occluding && !self.has_joined {
             return Ok(());
         }
         // Some coincide, which few meshes have: they are looked for again.
         let mut ids: Vec<u32> = self.ids.iter().map(|id| id & !FLIPPED_BIT).collect();
         ids.sort_unstable_by_key(|id| face_of(*id));
-        let is_same = occluders(self.mesh, |group| group.occludes) == ids;
+        let is_same = occluders(self.mesh, FaceGroup::is_solid) == ids;
         if is_same { Ok(()) } else { Err(wrong("it is the tree of other faces")) }
     }
 }
@@ -262,6 +262,7 @@ mod tests {
             face_group: (0..faces.len()).map(|face| (face % 3) as u16).collect(),
             faces,
             groups: vec![group(groups[0], false), group(groups[1], true), group(groups[2], false)],
+            ..Mesh::default()
         }
     }
 

@@ -17,6 +17,7 @@ fn mesh(triangles: &[[Vec3; 3]]) -> Mesh {
         faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
         face_group: vec![0; triangles.len()],
         groups: vec![group],
+        ..Mesh::default()
     }
 }
 

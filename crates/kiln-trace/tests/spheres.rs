@@ -17,6 +17,7 @@ fn tracer(triangles: &[[Vec3; 3]]) -> CpuTracer {
         faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
         face_group: vec![0; triangles.len()],
         groups: vec![group],
+        ..Mesh::default()
     };
     let object = SceneObject { mesh: 0, world_from_object: DAffine3::IDENTITY };
     CpuTracer::new(Arc::new(Scene::build(vec![Arc::new(MeshBvh::build(&mesh))], &[object])))

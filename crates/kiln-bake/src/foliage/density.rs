@@ -5,12 +5,12 @@
 //! `exp(−σ length)`, which falls with σ, so that the σ at which both are equal is found by halving.
 
 use glam::{DVec3, Vec3};
-use kiln_core::{Bounds, Digest, FaceGroup, Foliage, Mesh};
+use kiln_core::{Bounds, CutoutFace, Cutouts, Digest, FaceGroup, Foliage, Mesh};
 use kiln_trace::{
-    CpuTracer, MeshBvh, Ray, Scene, SceneObject, SobolScramble, Tracer, cosine_direction, orthonormal_basis,
-    sobol_point,
+    CpuTracer, CutoutMesh, MeshBvh, Ray, Scene, SceneObject, SobolScramble, Tracer, cosine_direction,
+    orthonormal_basis, sobol_point,
 };
-use std::sync::Arc;
+use std::{collections::HashMap, sync::Arc};
 
 /// Lines are traced from so far outside the box, in diagonals, to as far behind it: faces may lie on its sides.
 const BEYOND: f32 = 0.01;
@@ -124,17 +124,27 @@ impl Lines {
     }
 
     fn blocked(&self, mesh: &Mesh, faces: &[usize]) -> Vec<bool> {
-        let group = FaceGroup { double_sided: true, receives: false, ..FaceGroup::PLAIN };
+        // Group 0 is of whole faces, the others of those with a mask each.
+        let group = |cutout| FaceGroup { double_sided: true, receives: false, cutout, ..FaceGroup::PLAIN };
+        let cutouts: HashMap<usize, CutoutFace> = mesh.cutout_faces().map(|cutout| (cutout.face, cutout)).collect();
+        let masks = (0..mesh.cutouts.masks.len() as u16).map(Some);
+        let group_of = |face: &usize| cutouts.get(face).map_or(0, |cutout| cutout.mask + 1);
         let corner = |corner: Vec3| ((corner.as_dvec3() - self.center) * self.scale).as_vec3().to_array();
         let alone = Mesh {
             positions: faces.iter().flat_map(|face| mesh.corners(*face)).map(corner).collect(),
             normals: vec![[0.0; 3]; 3 * faces.len()],
             faces: (0..faces.len() as u32).map(|face| [3 * face, 3 * face + 1, 3 * face + 2]).collect(),
-            face_group: vec![0; faces.len()],
-            groups: vec![group],
+            face_group: faces.iter().map(group_of).collect(),
+            groups: std::iter::once(None).chain(masks).map(group).collect(),
+            cutouts: Cutouts {
+                masks: mesh.cutouts.masks.clone(),
+                corners: faces.iter().filter_map(|face| Some(cutouts.get(face)?.corners)).collect(),
+            },
         };
         let object = SceneObject { mesh: 0, world_from_object: glam::DAffine3::IDENTITY };
-        let tracer = CpuTracer::new(Arc::new(Scene::build(vec![Arc::new(MeshBvh::build(&alone))], &[object])));
+        let (whole, cut) = (Arc::new(MeshBvh::build(&alone)), CutoutMesh::build(&alone).map(Arc::new));
+        let scene = Scene::build(vec![whole], std::slice::from_ref(&object)).with_cutouts(vec![cut], &[object]);
+        let tracer = CpuTracer::new(Arc::new(scene));
         let longer =
             |ray: &Ray| Ray { origin: ray.origin - ray.direction * BEYOND, t_max: ray.t_max + 2.0 * BEYOND, ..*ray };
         let rays: Vec<Ray> = self.rays.iter().map(longer).collect();
@@ -176,6 +186,7 @@ mod tests {
             double_sided: true,
             occludes: false,
             foliage: Some(Foliage::Fog(given.map(|per_m| Density { per_m }))),
+            cutout: None,
             receives: true,
             max_samples_per_face: None,
         };
@@ -185,6 +196,7 @@ mod tests {
             faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
             face_group: vec![0; triangles.len()],
             groups: vec![group],
+            ..Mesh::default()
         }
     }
 
@@ -241,6 +253,29 @@ mod tests {
         assert!((size.z - LEAST_THICKNESS * 2f64.sqrt()).abs() < 1e-6 && size.x == 1.0);
         let ModelDensity::Derived(found) = fog.density else { panic!("derived") };
         assert!(found > 0.1 && found < 100.0, "{found}");
+    }
+
+    #[test]
+    fn holes_are_seen() {
+        use kiln_core::{Mask, Wrap};
+        // A card whose texture is opaque in half of its columns, and one that is half as large: lines see as much of both.
+        let card = |width: f64, is_opaque: fn(u32) -> bool| {
+            let at = |x: f64, y: f64| DVec3::new(x * width, y, 0.0);
+            let triangles = [[at(0.0, 0.0), at(1.0, 0.0), at(1.0, 1.0)], [at(0.0, 0.0), at(1.0, 1.0), at(0.0, 1.0)]];
+            // So that both have the box of the larger one.
+            let speck = [DVec3::new(1.0, 1.0, 0.0), DVec3::new(1.0, 0.999_999, 0.0), DVec3::new(0.999_999, 1.0, 0.0)];
+            let mut mesh = mesh(&[triangles[0], triangles[1], speck], None);
+            mesh.groups[0].cutout = Some(0);
+            let mask = Mask::new([16, 1], [Wrap::Clamp; 2], |[x, _]| is_opaque(x));
+            let uv = [[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]], [[0.0, 0.0], [1.0, 1.0], [0.0, 1.0]], [[0.0; 2]; 3]];
+            mesh.cutouts = Cutouts { masks: vec![mask.into()], corners: uv.to_vec() };
+            let fog = model_fog(&mesh, Digest::of(b"b")).unwrap();
+            let ModelDensity::Derived(found) = fog.density else { panic!("derived") };
+            found
+        };
+        let (all, half, narrow) = (card(1.0, |_| true), card(1.0, |x| x < 8), card(0.5, |_| true));
+        assert!((half / narrow - 1.0).abs() < 1e-3, "{half} {narrow}");
+        assert!(half < 0.6 * all && card(1.0, |_| false) == 0.0, "{half} {all}");
     }
 
     #[test]

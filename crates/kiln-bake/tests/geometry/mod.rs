@@ -14,6 +14,7 @@ pub(crate) fn mesh(triangles: &[[Vec3; 3]], double_sided: bool, normal: impl Fn(
         faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
         face_group: vec![0; triangles.len()],
         groups: vec![group],
+        ..Mesh::default()
     }
 }
 

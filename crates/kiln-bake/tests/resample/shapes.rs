@@ -57,6 +57,7 @@ fn mesh(positions: &[Vec3], faces: Vec<[u32; 3]>) -> Mesh {
         face_group: vec![0; faces.len()],
         faces,
         groups: vec![FaceGroup::PLAIN],
+        ..Mesh::default()
     }
 }
 

@@ -199,5 +199,6 @@ fn cut(mesh: &Mesh, faces: &[u32]) -> Mesh {
         faces: faces.iter().map(|face| mesh.faces[*face as usize].map(of)).collect(),
         face_group: faces.iter().map(|face| mesh.face_group[*face as usize]).collect(),
         groups: mesh.groups.clone(),
+        ..Mesh::default()
     }
 }

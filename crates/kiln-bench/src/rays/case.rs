@@ -6,7 +6,7 @@ use super::{
 };
 use crate::{BenchError, imported};
 use glam::{DAffine3, DVec3};
-use kiln_core::{Kernel, Mesh};
+use kiln_core::{Cutouts, FaceGroup, Kernel, Mesh};
 use kiln_trace::{Hit, MeshBvh, Scene, SceneObject};
 use rayon::prelude::*;
 use std::{
@@ -154,15 +154,18 @@ fn kernel_for(diagonal_m: f32) -> Kernel {
     Kernel::Obscurance { half_distances_m: [0.002, 0.3].map(|share| share * f64::from(diagonal_m)).to_vec() }
 }
 
-/// A mesh without the faces that stop no ray.
+/// A mesh without the faces that stop no ray. Faces with holes are whole: peers know of none.
 fn occluding(mesh: &Arc<Mesh>) -> Arc<Mesh> {
     let keep: Vec<usize> = (0..mesh.faces.len()).filter(|face| mesh.group(*face).occludes).collect();
-    if keep.len() == mesh.faces.len() {
+    let has_holes = mesh.groups.iter().any(|group| group.cutout.is_some());
+    if keep.len() == mesh.faces.len() && !has_holes {
         return Arc::clone(mesh);
     }
     Arc::new(Mesh {
         faces: keep.iter().map(|face| mesh.faces[*face]).collect(),
         face_group: keep.iter().map(|face| mesh.face_group[*face]).collect(),
+        groups: mesh.groups.iter().map(|group| FaceGroup { cutout: None, ..group.clone() }).collect(),
+        cutouts: Cutouts::default(),
         ..Mesh::clone(mesh)
     })
 }

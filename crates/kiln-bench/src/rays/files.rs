@@ -98,6 +98,7 @@ impl Paths {
             face_group: vec![0; faces.len()],
             faces,
             groups: vec![group(false)],
+            ..Mesh::default()
         };
         Ok((mesh, read_rays(&self.rays)?))
     }
@@ -214,6 +215,7 @@ mod tests {
             faces: vec![[0, 1, 2]],
             face_group: vec![0],
             groups: vec![group(false)],
+            ..Mesh::default()
         }
     }
 

@@ -137,6 +137,7 @@ mod tests {
             faces: vec![[0, 1, 2], [3, 4, 5]],
             face_group: vec![0, 0],
             groups: vec![group(false)],
+            ..Mesh::default()
         }
     }
 

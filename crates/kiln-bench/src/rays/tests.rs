@@ -39,6 +39,7 @@ fn floor(folder: &Path) -> Paths {
         faces: vec![[0, 1, 2], [1, 3, 2]],
         face_group: vec![0, 0],
         groups: vec![files::group(false)],
+        ..Mesh::default()
     };
     let rays = RaySet {
         per_point: 2,

@@ -43,6 +43,7 @@ fn mesh(triangles: &[Triangle], double_sided: usize) -> Mesh {
         faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
         face_group: (0..triangles.len()).map(|i| u16::from(i >= double_sided)).collect(),
         groups: vec![group(false), group(true)],
+        ..Mesh::default()
     }
 }
 

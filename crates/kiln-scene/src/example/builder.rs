@@ -70,6 +70,7 @@ pub(super) struct Builder {
     accessors: Vec<Value>,
     views: Vec<Value>,
     materials: Vec<Value>,
+    images: Vec<Value>,
     meshes: Vec<Value>,
     nodes: Vec<Value>,
     extensions: Vec<&'static str>,
@@ -166,6 +167,7 @@ impl Builder {
             accessors: Vec::new(),
             views: Vec::new(),
             materials: Vec::new(),
+            images: Vec::new(),
             meshes: Vec::new(),
             nodes: Vec::new(),
             extensions: Vec::new(),
@@ -188,6 +190,23 @@ impl Builder {
         let material = self.material(name, color);
         self.materials[material.0]["doubleSided"] = json!(true);
         material
+    }
+
+    /// A double-sided material whose faces are where the alpha of a PNG says, texel by texel.
+    pub(super) fn masked_material(&mut self, name: &str, png: &[u8]) -> Material {
+        self.bin.resize(self.bin.len().next_multiple_of(4), 0);
+        self.views.push(json!({"buffer": 0, "byteOffset": self.bin.len(), "byteLength": png.len()}));
+        self.bin.extend_from_slice(png);
+        self.images.push(json!({"name": name, "bufferView": self.views.len() - 1, "mimeType": "image/png"}));
+        self.materials.push(json!({
+            "name": name,
+            "alphaMode": "MASK",
+            "doubleSided": true,
+            "pbrMetallicRoughness": {
+                "baseColorTexture": {"index": self.images.len() - 1}, "metallicFactor": 0.0, "roughnessFactor": 1.0,
+            },
+        }));
+        Material(self.materials.len() - 1)
     }
 
     /// An extension that the file uses and cannot be read without.
@@ -228,13 +247,18 @@ impl Builder {
     pub(super) fn mesh(&mut self, name: &str, surfaces: &[(&Surface, Material)]) -> Mesh {
         let mut primitives = Vec::new();
         for (surface, material) in surfaces {
-            let positions: Vec<[f32; 3]> = surface.positions.iter().copied().map(to_f32).collect();
-            let normals: Vec<[f32; 3]> = surface.normals.iter().copied().map(to_f32).collect();
-            let position = self.accessor(Elements::positions(&positions));
-            let normal = self.accessor(Elements::floats(&normals, "VEC3"));
-            primitives.push(self.primitive(position, normal, &surface.faces, *material));
+            primitives.push(self.surface_primitive(surface, *material));
         }
         self.raw_mesh(name, &primitives)
+    }
+
+    /// A primitive of a surface.
+    pub(super) fn surface_primitive(&mut self, surface: &Surface, material: Material) -> Value {
+        let positions: Vec<[f32; 3]> = surface.positions.iter().copied().map(to_f32).collect();
+        let normals: Vec<[f32; 3]> = surface.normals.iter().copied().map(to_f32).collect();
+        let position = self.accessor(Elements::positions(&positions));
+        let normal = self.accessor(Elements::floats(&normals, "VEC3"));
+        self.primitive(position, normal, &surface.faces, material)
     }
 
     /// A primitive of given accessors.
@@ -326,10 +350,16 @@ impl Builder {
                 json!((0..self.nodes.len()).filter(|node| !self.levels.contains(node)).collect::<Vec<_>>());
         }
         root.insert("scenes".into(), json!([scene]));
+        // Each image is a texture; nearest texel, as at the edge beyond it.
+        let textures: Vec<Value> = (0..self.images.len()).map(|image| json!({"source": image, "sampler": 0})).collect();
+        let sampler = json!({"magFilter": 9728, "minFilter": 9728, "wrapS": 33071, "wrapT": 33071});
         let lists = [
             ("nodes", self.nodes),
             ("meshes", self.meshes),
             ("materials", self.materials),
+            ("samplers", textures.iter().take(1).map(|_| sampler.clone()).collect()),
+            ("textures", textures),
+            ("images", self.images),
             ("accessors", self.accessors),
             ("bufferViews", self.views),
         ];

@@ -12,7 +12,7 @@ const SHORT: u32 = 5123;
 const SIGNED_BYTE: u32 = 5120;
 const ARRAY_BUFFER: u32 = 34962;
 
-fn with_floor(half: f64) -> Builder {
+pub(super) fn with_floor(half: f64) -> Builder {
     let mut builder = Builder::new();
     let material = builder.material("floor", GREY);
     let cells = lines(-half, half, 0.25);

@@ -39,6 +39,7 @@ impl File {
         let bytes = &self.bin[start..start + length];
         let components = match accessor["type"].as_str().unwrap() {
             "SCALAR" => 1,
+            "VEC2" => 2,
             "VEC3" => 3,
             "VEC4" => 4,
             other => panic!("{other}"),

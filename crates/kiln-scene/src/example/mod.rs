@@ -8,6 +8,7 @@
 mod builder;
 mod case;
 pub mod closed_form;
+mod cutout;
 mod level;
 mod lods;
 mod masonry;
@@ -25,7 +26,7 @@ pub use planted::planted;
 
 type Entry = (&'static str, &'static str, fn() -> Vec<u8>);
 
-const COUNT: usize = 23;
+const COUNT: usize = 25;
 
 const EXAMPLES: [Entry; COUNT] = [
     (
@@ -52,6 +53,8 @@ const EXAMPLES: [Entry; COUNT] = [
     ("double_sided", "case: an open double-sided sheet over a floor", double_sided),
     ("gpu_instancing", "case: five instances of one node by EXT_mesh_gpu_instancing", gpu_instancing),
     ("quantized", "case: 16-bit positions and 8-bit normals by KHR_mesh_quantization", quantized),
+    ("cutout", "case: a lattice as an alpha mask on plates around a floor", cutout::cutout),
+    ("cutout_geometry", "case: the same lattice as geometry", cutout::cutout_geometry),
     ("empty", "case: a scene without a mesh", empty),
     ("triangle", "case: one triangle", triangle),
     ("lods", "level: the courtyard with lower levels of detail by MSFT_lod", lods::courtyard),

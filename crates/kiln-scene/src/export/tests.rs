@@ -395,9 +395,10 @@ fn numbers_of_instances_come_back_composed() {
     let (fixture, import) = with_foliage();
     let level = &import.level;
     let gets: Vec<Gets> = level.instances.iter().map(|instance| instance.gets).collect();
-    assert_eq!(gets, [Gets::Vertices, Gets::Global, Gets::Global, Gets::Scalar, Gets::Global, Gets::Global]);
+    let tree = Gets::GlobalTraced;
+    assert_eq!(gets, [Gets::Vertices, tree, tree, Gets::Scalar, tree, tree]);
     let number = |index: usize| match gets[index] {
-        Gets::Global => {
+        Gets::Global | Gets::GlobalTraced => {
             let y = |channel: usize| [0.5 + index as f32 / 16.0, 0.125, -0.25 * channel as f32, 0.0];
             InstanceNumbers::Global { channels: vec![y(0), y(1)], blend: y(1) }
         }

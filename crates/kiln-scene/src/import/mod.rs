@@ -76,7 +76,7 @@ pub fn import(
         trees: settings.trees,
         output: &settings.output,
     };
-    let gathered = gather(&document, &placements, &rules, &mut findings)?;
+    let gathered = gather(&document, files, &placements, &rules, &mut findings)?;
     check_only(settings, &gathered)?;
 
     let cast = cast_all(&gathered, settings)?;

@@ -160,7 +160,7 @@ pub(crate) mod tests {
         let faces: Vec<_> = quads.flat_map(|v| [[v, v + 5, v + 1], [v + 1, v + 5, v + 6]]).collect();
         let group = FaceGroup { class: Class::Tree, double_sided: true, ..FaceGroup::PLAIN };
         let (normals, face_group) = (vec![[0.0; 3]; 25], vec![0; faces.len()]);
-        let mesh = Mesh { positions, normals, faces, face_group, groups: vec![group] };
+        let mesh = Mesh { positions, normals, faces, face_group, groups: vec![group], ..Mesh::default() };
         let on_face = |face: u32| {
             let corners = mesh.corners(face as usize).map(Vec3::as_dvec3);
             [[0.6, 0.2, 0.2], [0.2, 0.6, 0.2], [0.2, 0.2, 0.6], [0.1, 0.4, 0.5]].map(|phi| {

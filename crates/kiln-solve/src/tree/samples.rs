@@ -161,6 +161,7 @@ mod tests {
             faces: vec![[0, 1, 2]],
             face_group: vec![0],
             groups: vec![group],
+            ..Mesh::default()
         }
     }
 

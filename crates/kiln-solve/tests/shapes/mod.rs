@@ -10,7 +10,7 @@ use kiln_solve::{SolveInput, SolverParams, solve_with};
 pub(crate) fn mesh(positions: Vec<[f32; 3]>, faces: Vec<[u32; 3]>) -> Mesh {
     let group = FaceGroup::PLAIN;
     let normals = vec![[0.0; 3]; positions.len()];
-    Mesh { normals, face_group: vec![0; faces.len()], groups: vec![group], positions, faces }
+    Mesh { normals, face_group: vec![0; faces.len()], groups: vec![group], positions, faces, ..Mesh::default() }
 }
 
 /// A grid in the plane z = 0 with the given coordinates of its columns and rows; vertex `(i, j)` is `i * rows + j`.

@@ -256,7 +256,9 @@ impl Leaf<'_> {
             lanes &= lanes - 1;
             let seen = leaf.seen(lane, ray.origin);
             let entry = || entry(leaf.corners(lane), ray.origin, ray.inverse);
-            if let Some((t, _)) = seen.meet(ray.direction, margins[lane], self.t_max, entry) {
+            if let Some((t, _)) = seen.meet(ray.direction, margins[lane], self.t_max, entry)
+                && self.mesh.is_there(seen.primitive, leaf.corners(lane), ray)
+            {
                 all_lost |= lost.cross(index, t, self.mesh.depth(seen.primitive));
             }
         }

@@ -24,40 +24,57 @@ use crate::{
     BvhLink, MeshBvh, SceneObject,
     boxed::Boxed,
     build::build,
+    cutout::Holes,
     node::WideNode,
+    ray::TracedRay,
     scene::{SceneInstance, instance, world_box},
     triangle::face_of,
 };
 use glam::{DAffine3, Vec3};
-use kiln_core::{Bounds, Fog, Foliage as FaceFoliage, FoliageMode, Mesh};
+use kiln_core::{Bounds, FaceGroup, Fog, Foliage as FaceFoliage, FoliageMode, Mesh};
 use std::sync::Arc;
 
-/// The faces of a mesh that keep a part of the visibility.
+/// The faces of a mesh that keep a part of the visibility; where a mask says that one is not there, all of it.
 #[derive(Debug)]
 pub struct CrossingMesh {
     pub(crate) bvh: MeshBvh,
     /// Depth of each face of the mesh, [`kiln_core::OpticalDepth`].
     depths: Box<[u32]>,
+    /// Where faces are not there, if some have masks.
+    holes: Option<Holes>,
 }
 
 impl CrossingMesh {
     /// Of a mesh; `None` if it has no such face.
     pub fn build(mesh: &Mesh) -> Option<Self> {
-        let depth = |foliage: Option<FaceFoliage>| match foliage {
-            Some(FaceFoliage::Crossing(depth)) => Some(depth.0),
+        let depth = |group: &FaceGroup| match group.foliage {
+            Some(FaceFoliage::Crossing(depth)) if !group.stops_where_opaque() => Some(depth.0),
             _ => None,
         };
-        if !mesh.groups.iter().any(|group| depth(group.foliage).is_some()) {
+        if !mesh.groups.iter().any(|group| depth(group).is_some()) {
             return None;
         }
-        let bvh = MeshBvh::build_over(mesh, |group| depth(group.foliage).is_some());
-        let depths = (0..mesh.faces.len()).map(|face| depth(mesh.group(face).foliage).unwrap_or(0)).collect();
-        Some(Self { bvh, depths })
+        let bvh = MeshBvh::build_over(mesh, |group| depth(group).is_some());
+        let depths = (0..mesh.faces.len()).map(|face| depth(mesh.group(face)).unwrap_or(0)).collect();
+        let has_holes = mesh.groups.iter().any(|group| group.cutout.is_some() && depth(group).is_some());
+        Some(Self { bvh, depths, holes: has_holes.then(|| Holes::of(mesh)) })
+    }
+
+    /// Whether masks say where some of its faces are not there.
+    pub fn has_holes(&self) -> bool {
+        self.holes.is_some()
     }
 
     /// Memory of nodes, triangles and depths, bytes.
     pub fn memory_bytes(&self) -> usize {
-        self.bvh.memory_bytes() + size_of_val(&*self.depths)
+        let holes = self.holes.as_ref().map_or(0, Holes::memory_bytes);
+        self.bvh.memory_bytes() + size_of_val(&*self.depths) + holes
+    }
+
+    /// Whether a face is there where a ray crosses it.
+    #[inline(always)]
+    pub(crate) fn is_there(&self, primitive: u32, corners: [Vec3; 3], ray: &TracedRay) -> bool {
+        self.holes.as_ref().is_none_or(|holes| holes.is_there(primitive, corners, ray))
     }
 
     #[inline(always)]

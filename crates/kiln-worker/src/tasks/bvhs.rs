@@ -141,6 +141,7 @@ mod tests {
             faces: (0..columns).flat_map(square).collect(),
             face_group: vec![0; 2 * columns as usize],
             groups: vec![group],
+            ..Mesh::default()
         }
     }
 

@@ -14,13 +14,13 @@ use crate::{
 };
 use glam::{DAffine3, DVec3};
 use kiln_bake::volume::{Volume, VolumeError};
-use kiln_core::{Bounds, Digest, FaceGroup, Instance, Level, Mesh, REACH_EPSILON, codec};
+use kiln_core::{Bounds, Digest, FaceGroup, Instance, Level, Mask, Mesh, REACH_EPSILON, codec};
 use kiln_gpu::GpuError;
 use kiln_plan::Reach;
-use kiln_trace::{CrossingMesh, Foliage, FoliageObject, MeshBvh, Scene, SceneObject, Tracer};
+use kiln_trace::{CrossingMesh, CutoutMesh, Foliage, FoliageObject, MeshBvh, Scene, SceneObject, Tracer};
 use rayon::prelude::*;
 use std::{
-    collections::{BTreeMap, BTreeSet, HashMap},
+    collections::{BTreeMap, BTreeSet, HashMap, HashSet},
     sync::{Arc, Mutex, OnceLock, PoisonError},
 };
 
@@ -70,9 +70,12 @@ impl LoadedLevel {
         let needed: BTreeSet<Digest> = traced.map(|(i, _)| level.meshes[i.mesh as usize].digest).collect();
         let digests: Vec<Digest> = needed.into_iter().collect();
         let blobs = artefacts.get_many(&digests)?;
+        let masks = SharedMasks::default();
         let decode = |(digest, bytes): (&Digest, _)| -> Result<(Digest, Arc<Mesh>), TaskError> {
             let bytes: &[u8] = AsRef::as_ref(bytes);
-            Ok((*digest, Arc::new(codec::decode("a mesh", bytes)?)))
+            let mut mesh: Mesh = codec::decode("a mesh", bytes)?;
+            masks.share(&mut mesh);
+            Ok((*digest, Arc::new(mesh)))
         };
         let by_digest: HashMap<Digest, Arc<Mesh>> =
             digests.par_iter().zip(&blobs).map(decode).collect::<Result<_, TaskError>>()?;
@@ -167,7 +170,9 @@ impl LoadedLevel {
         let crossings = CrossingMesh::build(mesh).map(Arc::new);
         let objects: Vec<FoliageObject> =
             crossings.into_iter().map(|mesh| FoliageObject::Crossings { mesh, world_from_object }).collect();
-        let scene = Scene::build(vec![Arc::new(MeshBvh::build(mesh))], &[SceneObject { mesh: 0, world_from_object }]);
+        let placed = [SceneObject { mesh: 0, world_from_object }];
+        let scene = Scene::build(vec![Arc::new(MeshBvh::build(mesh))], &placed)
+            .with_cutouts(vec![CutoutMesh::build(mesh).map(Arc::new)], &placed);
         let scene = Arc::new(scene.with_foliage(Foliage::build(&objects, self.level.sampling.foliage)));
         let tracer = backend.tracer(&scene).map_err(|error| gpu_error(&error))?;
         known.insert(key, (Arc::clone(&scene), Arc::clone(&tracer)));
@@ -224,6 +229,7 @@ impl LoadedLevel {
             let known = index_of.iter().enumerate().map(|(mesh, at)| (mesh as u32, Arc::clone(&bvhs[*at])));
             self.bvhs.lock().unwrap_or_else(PoisonError::into_inner).extend(known);
         }
+        let cutouts = distinct.par_iter().map(|(_, mesh)| CutoutMesh::build(mesh).map(Arc::new)).collect();
         // Instances that are not traced keep their index, by which ties are decided.
         let nothing = bvhs.len();
         bvhs.push(Arc::new(MeshBvh::build(&Mesh::default())));
@@ -236,7 +242,7 @@ impl LoadedLevel {
             objects.push(SceneObject { mesh: bvhs.len(), world_from_object: DAffine3::IDENTITY });
             bvhs.push(Arc::new(MeshBvh::build(&plane)));
         }
-        Scene::build(bvhs, &objects).with_foliage(self.build_foliage())
+        Scene::build(bvhs, &objects).with_cutouts(cutouts, &objects).with_foliage(self.build_foliage())
     }
 
     /// What rays go through: trees as their faces, shrubs as fog.
@@ -252,6 +258,28 @@ impl LoadedLevel {
             objects.extend(instance.fog.map(|fog| FoliageObject::Fog { fog, world_from_object }));
         }
         Foliage::build(&objects, self.level.sampling.foliage)
+    }
+}
+
+/// Masks that meshes have in common: each is in memory once.
+#[derive(Default)]
+struct SharedMasks(Mutex<HashSet<Arc<Mask>>>);
+
+impl SharedMasks {
+    /// Gives a mesh the masks that others have, where they are the same.
+    fn share(&self, mesh: &mut Mesh) {
+        if mesh.cutouts.masks.is_empty() {
+            return;
+        }
+        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        for mask in &mut mesh.cutouts.masks {
+            match known.get(mask) {
+                Some(same) => *mask = Arc::clone(same),
+                None => {
+                    known.insert(Arc::clone(mask));
+                }
+            }
+        }
     }
 }
 
@@ -292,6 +320,7 @@ pub fn ground_plane(level: &Level) -> Option<Mesh> {
         faces: vec![[0, 1, 2], [0, 2, 3]],
         face_group: vec![0, 0],
         groups: vec![group],
+        ..Mesh::default()
     })
 }
 
@@ -421,6 +450,19 @@ mod tests {
             assert_eq!(run(level, &backends, MIXED_LANE).unwrap(), on_processor);
             assert_eq!(backends.lanes(), ["cpu"]);
         }
+    }
+
+    #[test]
+    fn equal_masks_are_in_memory_once() {
+        let shared = SharedMasks::default();
+        let mesh = |is_opaque| {
+            let mut mesh = Mesh::default();
+            mesh.cutouts.masks = vec![Arc::new(Mask::uniform(is_opaque)), Arc::new(Mask::uniform(true))];
+            shared.share(&mut mesh);
+            mesh.cutouts.masks
+        };
+        let (one, other) = (mesh(true), mesh(false));
+        assert!(Arc::ptr_eq(&one[0], &one[1]) && Arc::ptr_eq(&one[0], &other[1]) && !Arc::ptr_eq(&one[0], &other[0]));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::{LoadedLevel, bvhs::BvhKeeper, counted::Counted, out_of_range};
 use crate::{Artefacts, LocalCache, TaskError, TaskOutput};
 use kiln_bake::{BakedInstance, BakedSurface, Piece, lod_sampling, resample_lod};
 use kiln_core::{Bounds, Digest, ResampleWork, Solution, codec};
-use kiln_trace::{CpuTracer, Scene, SceneObject};
+use kiln_trace::{CpuTracer, CutoutMesh, Scene, SceneObject};
 use std::sync::Arc;
 
 /// `inputs` are the values of the instances that the level of detail stands for, in their order.
@@ -28,16 +28,17 @@ pub(super) fn run(
     }
     let decode = |bytes: &bytes::Bytes| codec::decode("a solution", bytes);
     let solutions: Vec<Solution> = artefacts.get_many(inputs)?.iter().map(decode).collect::<Result<_, _>>()?;
-    let (mut trees, mut objects, mut baked) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut trees, mut cutouts, mut objects, mut baked) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for (index, solution) in instance.lod_of.iter().zip(&solutions) {
         let (full, mesh) = level.instance(*index)?;
         let world_from_object = full.world_from_object;
         objects.push(SceneObject { mesh: trees.len(), world_from_object });
         trees.push(level.bvh(full.mesh, bvhs, cache));
+        cutouts.push(CutoutMesh::build(mesh).map(Arc::new));
         let has_values = !solution.unsampled;
         baked.push(has_values.then_some(BakedInstance { mesh, world_from_object, values: &solution.values }));
     }
-    let tracer = CpuTracer::new(Arc::new(Scene::build(trees, &objects)));
+    let tracer = CpuTracer::new(Arc::new(Scene::build(trees, &objects).with_cutouts(cutouts, &objects)));
     let channels = level.level.sampling.kernel.channel_count();
     let surface = BakedSurface::new(channels, &baked).map_err(|error| failed(error.to_string()))?;
     let sampling = lod_sampling(&level.level.sampling);

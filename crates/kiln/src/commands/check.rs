@@ -8,9 +8,9 @@ use crate::{
     source::Source,
 };
 use kiln_bake::FaceAreas;
-use kiln_core::{Level, Mesh, codec};
+use kiln_core::{Digest, Level, Mesh, codec};
 use serde_json::json;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Rays per second of one core on a large level, as a rule of thumb for estimates only.
 const RAYS_PER_CORE_SECOND: f64 = 1.0e6;
@@ -26,22 +26,41 @@ struct Estimate {
     memory_bytes: u64,
 }
 
+/// Faces of distinct meshes whose holes a texture says, and the textures.
+#[derive(Default, serde::Serialize)]
+struct Masks {
+    faces: u64,
+    /// Of each mask: texels along u and v, or bits where it has several for each texel.
+    sizes: BTreeSet<[u32; 2]>,
+}
+
 pub(crate) fn run(args: &CheckArgs, common: &Common) -> Result<(), Failure> {
     super::use_threads(common)?;
     let source = Source::read(&args.level, args.settings.sidecar.as_deref())?;
     let settings = args.settings.resolve()?;
     let import = kiln_scene::import(source.name(), &source, source.sidecar(), &settings).map_err(Failure::refused)?;
-    let estimate = estimate(&import, common.thread_count()).map_err(anyhow::Error::from)?;
-    print(&import.level, &estimate, common);
+    let meshes = decode(&import).map_err(anyhow::Error::from)?;
+    let estimate = estimate(&import.level, &meshes, common.thread_count());
+    print(&import.level, &masks(&meshes), &estimate, common);
     Ok(())
 }
 
-fn estimate(import: &kiln_scene::Import, threads: usize) -> Result<Estimate, codec::DecodeError> {
-    let mut meshes: BTreeMap<_, Mesh> = BTreeMap::new();
-    for blob in &import.meshes {
-        meshes.insert(blob.digest, codec::decode("a mesh", &blob.bytes)?);
+type Meshes = BTreeMap<Digest, Mesh>;
+
+fn decode(import: &kiln_scene::Import) -> Result<Meshes, codec::DecodeError> {
+    import.meshes.iter().map(|blob| Ok((blob.digest, codec::decode("a mesh", &blob.bytes)?))).collect()
+}
+
+fn masks(meshes: &Meshes) -> Masks {
+    let mut masks = Masks::default();
+    for mesh in meshes.values() {
+        masks.faces += mesh.cutouts.corners.len() as u64;
+        masks.sizes.extend(mesh.cutouts.masks.iter().map(|mask| mask.size()));
     }
-    let level = &import.level;
+    masks
+}
+
+fn estimate(level: &Level, meshes: &Meshes, threads: usize) -> Estimate {
     let mut samples = 0;
     for instance in level.instances.iter().filter(|i| i.receives) {
         let Some(mesh) = meshes.get(&level.meshes[instance.mesh as usize].digest) else { continue };
@@ -53,16 +72,16 @@ fn estimate(import: &kiln_scene::Import, threads: usize) -> Result<Estimate, cod
     }
     let rays = samples * u64::from(level.sampling.rays_per_sample);
     let memory_bytes = level.counts.unique_faces * BYTES_PER_UNIQUE_FACE + level.counts.faces * BYTES_PER_FACE;
-    Ok(Estimate { samples, rays, seconds: rays as f64 / (RAYS_PER_CORE_SECOND * threads as f64), memory_bytes })
+    Estimate { samples, rays, seconds: rays as f64 / (RAYS_PER_CORE_SECOND * threads as f64), memory_bytes }
 }
 
 #[expect(clippy::print_stdout, reason = "this is the command's output")]
-fn print(level: &Level, estimate: &Estimate, common: &Common) {
+fn print(level: &Level, masks: &Masks, estimate: &Estimate, common: &Common) {
     let counts = &level.counts;
     if common.json {
         let report = json!({
             "level": counts, "origin_m": level.origin_m.to_array(), "sampling": level.sampling,
-            "solve": level.solve, "output": level.output, "warnings": level.warnings,
+            "solve": level.solve, "output": level.output, "warnings": level.warnings, "masks": masks,
             "estimate": {
                 "samples": estimate.samples, "rays": estimate.rays,
                 "seconds": estimate.seconds, "memory_bytes": estimate.memory_bytes,
@@ -78,6 +97,10 @@ fn print(level: &Level, estimate: &Estimate, common: &Common) {
     let classes: Vec<String> =
         counts.classes.iter().map(|(class, n)| format!("{n} {class:?}").to_lowercase()).collect();
     println!("faces by class: {}", classes.join(", "));
+    if masks.faces > 0 {
+        let sizes: Vec<String> = masks.sizes.iter().map(|[width, height]| format!("{width} × {height}")).collect();
+        println!("faces with holes: {} of distinct meshes, by masks of {}", masks.faces, sizes.join(", "));
+    }
     let size = level.bounds.max - level.bounds.min;
     if !level.bounds.is_empty() {
         println!("size {:.3} × {:.3} × {:.3} m", size.x, size.y, size.z);

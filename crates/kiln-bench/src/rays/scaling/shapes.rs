@@ -104,7 +104,7 @@ fn rock() -> Mesh {
 
 fn mesh(positions: Vec<[f32; 3]>, faces: Vec<[u32; 3]>) -> Mesh {
     let (normals, face_group) = (vec![[0.0; 3]; positions.len()], vec![0; faces.len()]);
-    Mesh { positions, normals, faces, face_group, groups: vec![group(false)] }
+    Mesh { positions, normals, faces, face_group, groups: vec![group(false)], ..Mesh::default() }
 }
 
 fn add(mesh: &mut Mesh, other: &Mesh, place: &DAffine3) {

@@ -26,6 +26,7 @@ fn crossing_mesh(triangles: &[Triangle], kept: f64) -> Arc<CrossingMesh> {
         faces: (0..triangles.len() as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect(),
         face_group: vec![0; triangles.len()],
         groups: vec![FaceGroup { occludes: false, foliage, ..FaceGroup::PLAIN }],
+        ..Mesh::default()
     };
     Arc::new(CrossingMesh::build(&mesh).expect("its faces are foliage"))
 }
