@@ -138,3 +138,17 @@ fn trees_with_a_texture_need_no_guess_at_their_holes() {
     let (holes, whole) = (baked("fog.glb", &rule("shrub"), "expected"), floor(&place, "whole_fog.glb"));
     assert!(holes.iter().sum::<f32>() > whole.iter().sum::<f32>() * 1.01);
 }
+
+#[test]
+fn cards_leave_scenes_with_holes_to_the_processor() {
+    let place = Workplace::new();
+    place.succeed(&["example", "cutout", "-o", "cutout.glb"]);
+    let bake =
+        ["bake", "cutout.glb", "-o", "gpu.glb", "--quality", "low", "--half-distance", "0.5,10", "--fixed-samples"];
+    let more = ["--only", "floor", "--backend", "gpu", "--report", "r.json"];
+    let output = place.command(&[&bake[..], &more].concat()).env("KILN_GPU", "software").output().expect("kiln starts");
+    assert!(output.status.success(), "this test needs a software Vulkan driver: {output:?}");
+    assert_eq!(place.json("r.json")["backend"]["traced_in"], json!(["cpu"]));
+    self::bake(&place, "cutout.glb", "cpu.glb", &["--only", "floor"]);
+    assert_eq!(floor(&place, "gpu.glb"), floor(&place, "cpu.glb"));
+}

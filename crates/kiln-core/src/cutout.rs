@@ -129,7 +129,12 @@ impl Mesh {
     /// The faces with masks, in their order.
     pub fn cutout_faces(&self) -> impl Iterator<Item = CutoutFace> {
         let masked = (0..self.faces.len()).filter_map(|face| Some((face, self.group(face).cutout?)));
-        masked.zip(&self.cutouts.corners).map(|((face, mask), corners)| CutoutFace { face, mask, corners: *corners })
+        // In this order no face is looked at where there are none.
+        self.cutouts.corners.iter().zip(masked).map(|(corners, (face, mask))| CutoutFace {
+            face,
+            mask,
+            corners: *corners,
+        })
     }
 }
 

@@ -32,11 +32,7 @@ impl<'d> Texture<'d> {
     /// From a material's texture info.
     pub(super) fn read(document: &'d Document<'_>, info: &Item<'d>) -> Result<Self, SceneError> {
         let (_, texture) = document.list("textures")?.resolve(&info.require("index")?)?;
-        // Formats of extensions come last: where there is another image, it is for those who don't know them.
-        let of_extension = ["EXT_texture_webp", "KHR_texture_basisu", "MSFT_texture_dds"]
-            .into_iter()
-            .find_map(|name| texture.extension(name)?.get("source"));
-        let source = texture.get("source").or(of_extension).ok_or_else(|| texture.invalid("source is missing"))?;
+        let source = source_of(&texture).ok_or_else(|| texture.invalid("source is missing"))?;
         let (image, item) = document.list("images")?.resolve(&source)?;
         let sampler = texture.get("sampler").map(|sampler| document.list("samplers")?.resolve(&sampler)).transpose()?;
         let sampler = sampler.map(|(_, sampler)| sampler);
@@ -76,6 +72,16 @@ impl<'d> Texture<'d> {
         let view = self.item.get("bufferView").ok_or(MaskProblem::Malformed)?;
         whole_view(document, &view).map(Cow::Borrowed).map_err(|_| MaskProblem::Malformed)
     }
+}
+
+/// The reference of a texture to its image. Formats of extensions come last: where there is another image, it is for those who
+/// don't know them.
+fn source_of<'d>(texture: &Item<'d>) -> Option<Item<'d>> {
+    let of_extension = || {
+        let names = ["EXT_texture_webp", "KHR_texture_basisu", "MSFT_texture_dds"];
+        names.into_iter().find_map(|name| texture.extension(name)?.get("source"))
+    };
+    texture.get("source").or_else(of_extension)
 }
 
 fn wrap(item: &Item<'_>) -> Result<Wrap, SceneError> {
@@ -150,7 +156,7 @@ fn mask_file(root: &Item<'_>, material: &Item<'_>) -> Option<String> {
     }
     let index = material.get("pbrMetallicRoughness")?.get("baseColorTexture")?.get("index")?;
     let (_, texture) = root.list("textures").ok()?.resolve(&index).ok()?;
-    let (_, image) = root.list("images").ok()?.resolve(&texture.get("source")?).ok()?;
+    let (_, image) = root.list("images").ok()?.resolve(&source_of(&texture)?).ok()?;
     match parse_uri(&image.get("uri")?) {
         Ok(Uri::File(path)) => Some(path),
         _ => None,

@@ -4,7 +4,9 @@
 use super::{
     Backend,
     bvhs::{BvhKeeper, NamedMesh},
-    fit, out_of_range,
+    fit,
+    masks::SharedMasks,
+    out_of_range,
     trees::{Model, Trees},
 };
 use crate::{
@@ -14,13 +16,13 @@ use crate::{
 };
 use glam::{DAffine3, DVec3};
 use kiln_bake::volume::{Volume, VolumeError};
-use kiln_core::{Bounds, Digest, FaceGroup, Instance, Level, Mask, Mesh, REACH_EPSILON, codec};
+use kiln_core::{Bounds, Digest, FaceGroup, Instance, Level, Mesh, REACH_EPSILON, codec};
 use kiln_gpu::GpuError;
 use kiln_plan::Reach;
 use kiln_trace::{CrossingMesh, CutoutMesh, Foliage, FoliageObject, MeshBvh, Scene, SceneObject, Tracer};
 use rayon::prelude::*;
 use std::{
-    collections::{BTreeMap, BTreeSet, HashMap, HashSet},
+    collections::{BTreeMap, BTreeSet, HashMap},
     sync::{Arc, Mutex, OnceLock, PoisonError},
 };
 
@@ -261,28 +263,6 @@ impl LoadedLevel {
     }
 }
 
-/// Masks that meshes have in common: each is in memory once.
-#[derive(Default)]
-struct SharedMasks(Mutex<HashSet<Arc<Mask>>>);
-
-impl SharedMasks {
-    /// Gives a mesh the masks that others have, where they are the same.
-    fn share(&self, mesh: &mut Mesh) {
-        if mesh.cutouts.masks.is_empty() {
-            return;
-        }
-        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        for mask in &mut mesh.cutouts.masks {
-            match known.get(mask) {
-                Some(same) => *mask = Arc::clone(same),
-                None => {
-                    known.insert(Arc::clone(mask));
-                }
-            }
-        }
-    }
-}
-
 fn gpu_error(error: &GpuError) -> TaskError {
     match error {
         GpuError::Trace(error) => error.into(),
@@ -450,19 +430,6 @@ mod tests {
             assert_eq!(run(level, &backends, MIXED_LANE).unwrap(), on_processor);
             assert_eq!(backends.lanes(), ["cpu"]);
         }
-    }
-
-    #[test]
-    fn equal_masks_are_in_memory_once() {
-        let shared = SharedMasks::default();
-        let mesh = |is_opaque| {
-            let mut mesh = Mesh::default();
-            mesh.cutouts.masks = vec![Arc::new(Mask::uniform(is_opaque)), Arc::new(Mask::uniform(true))];
-            shared.share(&mut mesh);
-            mesh.cutouts.masks
-        };
-        let (one, other) = (mesh(true), mesh(false));
-        assert!(Arc::ptr_eq(&one[0], &one[1]) && Arc::ptr_eq(&one[0], &other[1]) && !Arc::ptr_eq(&one[0], &other[0]));
     }
 
     #[test]

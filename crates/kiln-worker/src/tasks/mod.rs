@@ -8,6 +8,7 @@ mod export;
 mod fit;
 mod import;
 mod levels;
+mod masks;
 mod outputs;
 mod plan;
 mod points;
