@@ -31,7 +31,11 @@ fn levels_of_detail_get_values_and_change_no_others() {
     let lods = &with["lods"];
     let count = |what: &str| lods[what].as_u64().expect("a count");
     assert!(count("instances") > 100 && count("invalid") * 100 < count("samples"), "{lods}");
-    assert_eq!(with["error_estimate"], without["error_estimate"]);
+    // Nodes of the one file are written with matrices: positions are off by roundings.
+    for channel in 0..2 {
+        let rmse = |report: &Value| report["error_estimate"]["rmse"][channel].as_f64().expect("an estimate");
+        assert!((rmse(&with) - rmse(&without)).abs() < 1e-5 * rmse(&without));
+    }
     let (with, without) = (scene(&place, "with.glb"), scene(&place, "without.glb"));
     assert_eq!(with.lods.len() as u64, count("instances"));
     let values: BTreeMap<&str, &Vec<f32>> = without.parts.iter().map(|part| (part.node.as_str(), &part.ao)).collect();

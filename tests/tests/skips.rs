@@ -196,7 +196,10 @@ fn what_a_level_lacks_is_no_work() {
     // Nothing in the level receives: there is nothing to trace and nothing to solve.
     let place = example("crates");
     let all = bake(&place, "all.glb", &[]);
-    assert_eq!(all["left_out"]["absent_classes"], json!(["distant", "ignored", "tree", "shrub", "decorator"]));
+    assert_eq!(
+        all["left_out"]["absent_classes"],
+        json!(["distant", "ignored", "tree", "shrub", "decorator", "instanced"])
+    );
     std::fs::write(place.path("level.kiln.toml"), "[[class]]\nmatch = \"*\"\nclass = \"opaque\"\nreceives = false\n")
         .expect("a folder");
     let none = bake(&place, "none.glb", &[]);

@@ -5,14 +5,18 @@ use crate::{
     BenchError, Provenance,
     baked::{self, double_area_m2},
     imported::import_as,
+    lods::mesh,
     scratch::Scratch,
 };
-use kiln_core::{Class, FoliageMode};
-use kiln_scene::BakedScene;
-use kiln_trace::Scene;
+use glam::{DAffine3, DVec3, Vec3};
+use kiln_bake::{BakedInstance, BakedSurface};
+use kiln_core::{Class, FoliageMode, Mesh};
+use kiln_scene::{BakedPart, BakedScene};
+use kiln_trace::{CpuTracer, Hit, MeshBvh, Ray, Scene, SceneObject, Tracer};
 use kiln_worker::tasks::{Backend, LoadedLevel};
 use std::{
     path::{Path, PathBuf},
+    sync::Arc,
     time::Instant,
 };
 
@@ -68,7 +72,75 @@ pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
             number("/rays/traced") / 1e6
         );
     }
+    let whole = baked::bake(&args.level, &["--half-distance", "2,300"], scratch.path())?;
+    grass(&whole.scene, &gold.scene)
+}
+
+/// Points around a shrub or decorator at which the ground is read.
+const AROUND: usize = 64;
+
+/// The one number of each shrub and decorator beside the mean of what is baked on the ground within its box. `ground` has
+/// values for the ground alone.
+#[expect(clippy::print_stdout, reason = "this is the command's output")]
+fn grass(whole: &BakedScene, ground: &BakedScene) -> Result<(), BenchError> {
+    let failed = |reason: String| BenchError::Failed { step: "the ground", reason };
+    let parts: Vec<&BakedPart> =
+        whole.parts.iter().zip(&ground.parts).filter(|(_, g)| g.channels == 2).map(|(part, _)| part).collect();
+    let Some(origin) = parts.first().and_then(|part| part.positions.first()).copied() else { return Ok(()) };
+    let meshes: Vec<Mesh> = parts.iter().map(|part| mesh(part, origin)).collect();
+    let baked: Vec<Option<BakedInstance<'_>>> = parts
+        .iter()
+        .zip(&meshes)
+        .map(|(part, mesh)| Some(BakedInstance { mesh, world_from_object: DAffine3::IDENTITY, values: &part.ao }))
+        .collect();
+    let surface = BakedSurface::new(2, &baked).map_err(|error| failed(error.to_string()))?;
+    let objects: Vec<SceneObject> =
+        (0..meshes.len()).map(|mesh| SceneObject { mesh, world_from_object: DAffine3::IDENTITY }).collect();
+    let trees = meshes.iter().map(|mesh| Arc::new(MeshBvh::build(mesh))).collect();
+    let tracer = CpuTracer::new(Arc::new(Scene::build(trees, &objects)));
+    let mut pairs: [Vec<[f64; 2]>; 2] = [Vec::new(), Vec::new()];
+    for part in whole.parts.iter().filter(|part| has_one_number(part)) {
+        let (low, high) = part
+            .positions
+            .iter()
+            .fold((part.positions[0], part.positions[0]), |(low, high), p| (low.min(*p), high.max(*p)));
+        let rays: Vec<Ray> = (0..AROUND)
+            .map(|index| {
+                // A lattice of rank 1 over the box's floor.
+                let (u, v) = ((index as f64 + 0.5) / AROUND as f64, (index as f64 * 0.618_033_988_75).fract());
+                let from = DVec3::new(low.x + u * (high.x - low.x), high.y + 1.0, low.z + v * (high.z - low.z));
+                Ray { origin: (from - origin).as_vec3(), direction: Vec3::NEG_Y, t_max: (high.y - low.y + 3.0) as f32 }
+            })
+            .collect();
+        let mut hits = vec![Hit::MISS; AROUND];
+        tracer.trace(&rays, &mut hits).map_err(|error| failed(error.to_string()))?;
+        let read: Vec<_> = rays.iter().zip(&hits).filter_map(|(ray, hit)| surface.read(ray, hit)).collect();
+        if !read.is_empty() {
+            for (channel, pairs) in pairs.iter_mut().enumerate() {
+                let mean = read.iter().map(|point| point.ao[channel]).sum::<f64>() / read.len() as f64;
+                pairs.push([f64::from(part.ao[channel]), mean]);
+            }
+        }
+    }
+    println!("\nNumbers of {} shrubs and decorators beside the ground's AO within their boxes:\n", pairs[0].len());
+    println!("| half-distance | RMS difference | mean difference | deviation of the ground's | correlation |");
+    println!("|---|---|---|---|---|");
+    for (name, pairs) in ["2 m", "300 m"].iter().zip(&pairs) {
+        let count = pairs.len().max(1) as f64;
+        let mean = |of: &dyn Fn(&[f64; 2]) -> f64| pairs.iter().map(of).sum::<f64>() / count;
+        let means = [mean(&|pair| pair[0]), mean(&|pair| pair[1])];
+        let product = |a: usize, b: usize| mean(&|pair| (pair[a] - means[a]) * (pair[b] - means[b]));
+        let correlation = product(0, 1) / (product(0, 0) * product(1, 1)).sqrt();
+        let rms = mean(&|[scalar, ground]| (scalar - ground).powi(2)).sqrt();
+        let deviation = product(1, 1).sqrt();
+        println!("| {name} | {rms:.4} | {:+.4} | {deviation:.4} | {correlation:.3} |", means[0] - means[1]);
+    }
     Ok(())
+}
+
+/// Whether all vertices of a part have the same values.
+fn has_one_number(part: &BakedPart) -> bool {
+    part.channels == 2 && part.ao.len() > 2 && part.ao.chunks_exact(2).all(|ao| ao == &part.ao[..2])
 }
 
 /// What trees of nodes and triangles come to: of what is opaque in all modes, and of foliage in each.

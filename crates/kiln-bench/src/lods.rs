@@ -158,7 +158,7 @@ fn interpolated(mesh: &Mesh, point: &ModelPoint, values: &[f32], channels: usize
 }
 
 /// A part near an origin, with the normals of its faces.
-fn mesh(part: &BakedPart, origin: DVec3) -> Mesh {
+pub(crate) fn mesh(part: &BakedPart, origin: DVec3) -> Mesh {
     Mesh {
         positions: part.positions.iter().map(|p| (*p - origin).as_vec3().to_array()).collect(),
         normals: vec![[0.0; 3]; part.positions.len()],

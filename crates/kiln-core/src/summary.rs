@@ -53,6 +53,10 @@ pub struct FoliageSummary {
     pub scalars: u64,
     /// Of these, those around which nothing has values: they are open.
     pub open_scalars: u64,
+    /// What a game loads for all of these: models' own AO once, and the numbers of instances, bytes.
+    pub bytes: u64,
+    /// What values at the vertices of every instance would be, bytes.
+    pub bytes_at_vertices: u64,
 }
 
 /// What became of lower levels of detail that have values at their vertices.

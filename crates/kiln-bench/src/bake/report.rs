@@ -74,6 +74,11 @@ pub(super) struct Foliage {
     pub(super) models: Vec<Model>,
     /// Shrubs and decorators.
     pub(super) scalars: u64,
+    /// What a game loads for them, and what values at all their vertices would be.
+    #[serde(default)]
+    pub(super) bytes: u64,
+    #[serde(default)]
+    pub(super) bytes_at_vertices: u64,
 }
 
 /// What became of lower levels of detail.

@@ -69,7 +69,16 @@ pub(super) fn lines(bakes: &[&Bake]) -> Vec<String> {
         let gib = spread.median;
         format!("peak memory {gib:.2} GiB; at most {MAX_MEMORY_GIB} {}", verdict(gib <= MAX_MEMORY_GIB))
     });
-    vec![
+    let foliage = bakes.first().map(|bake| &bake.report.foliage).filter(|foliage| foliage.bytes_at_vertices > 0);
+    let size = foliage.map(|foliage| {
+        format!(
+            "a game loads {:.3} MB for foliage; values at the vertices of every instance would be {:.1} MB, {:.0} times as much",
+            1e-6 * foliage.bytes as f64,
+            1e-6 * foliage.bytes_at_vertices as f64,
+            foliage.bytes_at_vertices as f64 / foliage.bytes.max(1) as f64
+        )
+    });
+    let lines = vec![
         format!(
             "{:.2} M rays; {:.2} Mrays in a second of a thread's time while it traces",
             1e-6 * median(|f| f.rays),
@@ -87,5 +96,6 @@ pub(super) fn lines(bakes: &[&Bake]) -> Vec<String> {
         format!("threads busy {:.1} %; at least {:.0} % {}", 100.0 * busy, 100.0 * MIN_BUSY, verdict(busy >= MIN_BUSY)),
         memory,
         format!("estimated RMSE {rmse:.4}; at most {MAX_RMSE} {}", verdict(rmse <= MAX_RMSE)),
-    ]
+    ];
+    lines.into_iter().chain(size).collect()
 }

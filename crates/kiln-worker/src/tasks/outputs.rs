@@ -4,7 +4,7 @@ use super::{LoadedLevel, out_of_range};
 use crate::{Artefacts, TaskError};
 use kiln_core::{
     Digest, FoliageSummary, Gets, InstanceNumbers, ModelSummary, NodeErrors, Output, RAYS_PER_VOXEL, TraceSummary,
-    TreeErrors, TreeFits, Warning, codec,
+    TreeErrors, TreeFits, ValueFormat, Warning, codec,
 };
 use kiln_scene::{BakedModel, NumberedInstance};
 use std::collections::HashMap;
@@ -113,6 +113,27 @@ impl FoliageOutputs {
         self.scalars.iter().filter(move |(_, numbers)| is_open(numbers)).map(|(instance, _)| *instance)
     }
 
+    /// Bytes of what a game loads, and of values at the vertices of every instance.
+    fn bytes(&self, level: &LoadedLevel) -> (u64, u64) {
+        let channels = level.level.sampling.kernel.channel_count() as u64;
+        let of_value = if level.level.output.format == ValueFormat::U16 { 2 } else { 4 };
+        let of_vertices = |mesh: u32| {
+            u64::from(level.level.meshes[mesh as usize].vertex_count) * (channels * of_value).next_multiple_of(4)
+        };
+        let (mut bytes, mut at_vertices) = (0, 0);
+        for (mesh, instances, _) in &self.trees {
+            let count = instances.len() as u64;
+            // Four floats for each half-distance, and for the blend.
+            bytes += of_vertices(*mesh) + count * (channels + 1) * 16;
+            at_vertices += count * of_vertices(*mesh);
+        }
+        for (instance, _) in &self.scalars {
+            bytes += channels * 4;
+            at_vertices += of_vertices(level.level.instances[*instance as usize].mesh);
+        }
+        (bytes, at_vertices)
+    }
+
     pub(super) fn summary(&self, level: &LoadedLevel) -> FoliageSummary {
         let node = |(index, errors): (&u32, &Vec<TreeErrors>)| NodeErrors {
             node: level.level.instances[*index as usize].name.clone(),
@@ -125,7 +146,10 @@ impl FoliageOutputs {
             errors: fits.errors.clone(),
             nodes: instances.iter().zip(&fits.instance_errors).map(node).collect(),
         };
+        let (bytes, bytes_at_vertices) = self.bytes(level);
         FoliageSummary {
+            bytes,
+            bytes_at_vertices,
             models: self.trees.iter().map(model).collect(),
             voxels: self.voxels(),
             scalars: self.scalars.len() as u64,
