@@ -2,6 +2,7 @@
 
 use crate::BenchError;
 use kiln_scene::{BakedPart, BakedScene, LevelFiles};
+use serde::Deserialize;
 use std::{
     path::{Path, PathBuf},
     process::Command,
@@ -11,6 +12,37 @@ use std::{
 pub(crate) struct BakedLevel {
     pub(crate) scene: BakedScene,
     pub(crate) report: serde_json::Value,
+    pub(crate) path: PathBuf,
+}
+
+/// How far one bake is from another, over the area that can be seen.
+#[derive(Clone, Copy, Debug, Deserialize)]
+pub(crate) struct Difference {
+    pub(crate) rmse: f64,
+    /// Mean of the first less the second.
+    pub(crate) bias: f64,
+}
+
+#[derive(Deserialize)]
+struct Comparison {
+    visible: Visible,
+}
+
+#[derive(Deserialize)]
+struct Visible {
+    total: [Difference; 2],
+}
+
+/// Compares two baked files with two half-distances. What can be seen is found on the first.
+pub(crate) fn compare(first: &Path, second: &Path) -> Result<[Difference; 2], BenchError> {
+    let failed = |reason: String| BenchError::Failed { step: "compare", reason };
+    let program = std::env::current_exe().map_err(|error| failed(error.to_string()))?;
+    let ended = Command::new(program).args(["compare", "--json"]).arg(first).arg(second).output();
+    let ended = ended.map_err(|error| failed(error.to_string()))?;
+    let compared: Result<Comparison, _> = serde_json::from_slice(&ended.stdout);
+    compared
+        .map(|compared| compared.visible.total)
+        .map_err(|error| failed(format!("{error}: {}", String::from_utf8_lossy(&ended.stderr).trim())))
 }
 
 /// Bakes a level with more options of `kiln bake`, in a folder.
@@ -31,7 +63,7 @@ pub(crate) fn bake(level: &Path, options: &[&str], folder: &Path) -> Result<Bake
     let bad = |path: &PathBuf, reason: String| BenchError::File { path: path.clone(), reason };
     let text = std::fs::read(&report).map_err(|error| bad(&report, error.to_string()))?;
     let report = serde_json::from_slice(&text).map_err(|error| bad(&report, error.to_string()))?;
-    Ok(BakedLevel { scene: read(&output)?, report })
+    Ok(BakedLevel { scene: read(&output)?, report, path: output })
 }
 
 /// Reads a baked file.

@@ -152,6 +152,13 @@ impl Foliage {
         self.nodes.is_empty()
     }
 
+    /// Memory of the boxes of fog, with their part of the tree over all objects, bytes.
+    pub fn fog_bytes(&self) -> usize {
+        let fogs = self.objects.iter().filter(|object| object.crossings().is_none()).count();
+        let nodes = size_of_val(self.nodes.as_slice()) * fogs / self.objects.len().max(1);
+        nodes + fogs * size_of::<Placed>()
+    }
+
     /// Memory of the tree and all objects, each mesh counted once, bytes.
     pub fn memory_bytes(&self) -> usize {
         let mut meshes: Vec<*const CrossingMesh> = Vec::new();
