@@ -16,15 +16,18 @@ const RAYS_PER_SAMPLE: u32 = 8;
 const SAMPLES_PER_FACE: f64 = 8.0;
 
 /// Most samples of one face.
-const MOST_SAMPLES_PER_FACE: u32 = 64;
+const MOST_SAMPLES_PER_FACE: u32 = 256;
 
-/// How LODs are sampled in a level that is sampled so: a fixed number of samples per face, by area, that each read a sphere
-/// by few rays, since the least squares average over them.
-pub fn lod_sampling(level: &Sampling) -> Sampling {
+/// Samples of a LOD, however few its faces are: vertex values of a few faces are means over few samples each.
+const LEAST_SAMPLES: f64 = 4096.0;
+
+/// How a LOD of so many faces is sampled in a level that is sampled so: a fixed number of samples per face, by area, that each
+/// read a sphere by few rays, since the least squares average over them.
+pub fn lod_sampling(level: &Sampling, faces: usize) -> Sampling {
     Sampling {
         target: None,
         rays_per_sample: RAYS_PER_SAMPLE,
-        mean_samples_per_face: SAMPLES_PER_FACE,
+        mean_samples_per_face: SAMPLES_PER_FACE.max(LEAST_SAMPLES / faces.max(1) as f64),
         density_per_m2: None,
         max_samples_per_face: MOST_SAMPLES_PER_FACE,
         min_samples_per_face: 2,

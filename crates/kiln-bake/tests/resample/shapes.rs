@@ -122,18 +122,21 @@ pub(crate) fn detailed(p: DVec3) -> f64 {
 
 /// How LODs are sampled where nothing is said.
 pub(crate) fn sampling() -> Sampling {
-    kiln_bake::lod_sampling(&Sampling {
-        target: None,
-        kernel: Kernel::Obscurance { half_distances_m: vec![2.0] },
-        rays_per_sample: 16,
-        mean_samples_per_face: 4.0,
-        density_per_m2: None,
-        min_samples_per_face: 2,
-        max_samples_per_face: 64,
-        back_face_limit: 0.25,
-        seed: 7,
-        foliage: kiln_core::FoliageMode::default(),
-        ground_plane_y_m: None,
-        no_skip: BTreeSet::new(),
-    })
+    kiln_bake::lod_sampling(
+        &Sampling {
+            target: None,
+            kernel: Kernel::Obscurance { half_distances_m: vec![2.0] },
+            rays_per_sample: 16,
+            mean_samples_per_face: 4.0,
+            density_per_m2: None,
+            min_samples_per_face: 2,
+            max_samples_per_face: 64,
+            back_face_limit: 0.25,
+            seed: 7,
+            foliage: kiln_core::FoliageMode::default(),
+            ground_plane_y_m: None,
+            no_skip: BTreeSet::new(),
+        },
+        usize::MAX,
+    )
 }

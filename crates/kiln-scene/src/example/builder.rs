@@ -324,7 +324,7 @@ impl Builder {
     }
 
     /// A node at the root with lower levels of detail.
-    pub(super) fn node_with_levels(&mut self, name: &str, mesh: Mesh, place: &DAffine3, levels: Vec<usize>) {
+    pub(super) fn node_with_levels(&mut self, name: &str, mesh: Mesh, place: &DAffine3, levels: &[usize]) {
         let mut node = matrix_node(name, mesh, place);
         if !levels.is_empty() {
             node["extensions"] = json!({"MSFT_lod": {"ids": levels}});

@@ -73,8 +73,9 @@ fn build(source: &Import) -> Vec<u8> {
         place.translation += source.level.origin_m - place.matrix3 * center;
         let levels = &meshes[instance.mesh as usize];
         let name = |number: usize| format!("{}_lod{number}", instance.name);
-        let lower = (1..levels.len()).map(|number| builder.level_node(&name(number), levels[number], &place)).collect();
-        builder.node_with_levels(&instance.name, levels[0], &place, lower);
+        let lower: Vec<usize> =
+            (1..levels.len()).map(|number| builder.level_node(&name(number), levels[number], &place)).collect();
+        builder.node_with_levels(&instance.name, levels[0], &place, &lower);
     }
     builder.finish("levels of detail")
 }

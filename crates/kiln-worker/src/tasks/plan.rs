@@ -10,12 +10,14 @@ use rayon::prelude::*;
 
 pub(super) fn run(spec: &PlanSpec, level: &LoadedLevel) -> Result<TaskOutput, TaskError> {
     let settings = &level.level.sampling;
-    let of_lods = kiln_bake::lod_sampling(settings);
     let of_instance = |instance: &Instance| {
         let of = |settings: &Sampling| sampling(level, instance.mesh, &instance.world_from_object, settings);
         match instance {
             _ if is_read(instance) => of(settings),
-            Instance { receives: true, gets: Gets::Vertices, .. } => of(&of_lods),
+            Instance { receives: true, gets: Gets::Vertices, .. } => {
+                let faces = level.meshes[instance.mesh as usize].faces.len();
+                of(&kiln_bake::lod_sampling(settings, faces))
+            }
             _ => NONE,
         }
     };

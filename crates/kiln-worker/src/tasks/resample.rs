@@ -41,7 +41,7 @@ pub(super) fn run(
     let tracer = CpuTracer::new(Arc::new(Scene::build(trees, &objects).with_cutouts(cutouts, &objects)));
     let channels = level.level.sampling.kernel.channel_count();
     let surface = BakedSurface::new(channels, &baked).map_err(|error| failed(error.to_string()))?;
-    let sampling = lod_sampling(&level.level.sampling);
+    let sampling = lod_sampling(&level.level.sampling, mesh.faces.len());
     let piece = Piece {
         mesh,
         world_from_object: &instance.world_from_object,

@@ -26,7 +26,7 @@ pub(super) fn run(
     let world_from_object = model.map_or(placed.world_from_object, Model::place);
     let mut settings = level.level.solve.clone();
     if placed.is_lod() && !work.alone {
-        settings.rays_per_sample = kiln_bake::lod_sampling(&level.level.sampling).rays_per_sample;
+        settings.rays_per_sample = kiln_bake::lod_sampling(&level.level.sampling, mesh.faces.len()).rays_per_sample;
     }
     let input = SolveInput { mesh, world_from_object, moments: &whole, settings: &settings };
     let solution = kiln_solve::solve(&input).map_err(|error| failed(error.to_string()))?;
