@@ -163,3 +163,17 @@ fn probes_answer_in_json() {
     std::fs::write(place.path("p.json"), r#"{"points": [{"position": [0, 1, 0], "normal": [0, 0, 0]}]}"#).unwrap();
     assert!(place.fail(3, &["probe", "level.glb", "--points", "p.json"]).contains("points[0]"));
 }
+
+#[test]
+fn a_reader_that_leaves_ends_the_command_in_silence() {
+    let place = Workplace::new();
+    let mut child = place
+        .command(&["example", "--list"])
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .expect("it starts");
+    drop(child.stdout.take());
+    let output = child.wait_with_output().expect("it ends");
+    assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+}

@@ -179,12 +179,12 @@ fn what_foliage_is_can_be_chosen() {
 #[test]
 fn a_bake_on_a_card_is_that_of_the_processor() {
     let place = planted();
-    for mode in ["expected", "attenuate"] {
-        bake(&place, "cpu.glb", &["--foliage", mode]);
+    for (mode, trees) in [("expected", "traced"), ("attenuate", "volume")] {
+        bake(&place, "cpu.glb", &["--foliage", mode, "--trees", trees]);
         let own =
             ["bake", "level.glb", "-o", "gpu.glb", "--quality", "low", "--backend", "gpu", "--report", "gpu.json"];
-        let trees = ["--half-distance", "0.5,10", "--trees", if mode == "expected" { "traced" } else { "volume" }];
-        let arguments = [&own[..], &trees, &["--foliage", mode]].concat();
+        let settings = ["--half-distance", "0.5,10", "--trees", trees];
+        let arguments = [&own[..], &settings, &["--foliage", mode]].concat();
         let output = place.command(&arguments).env("KILN_GPU", "software").output().expect("it starts");
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.success() && !said.contains("traced on the processor"), "{said}");

@@ -6,7 +6,7 @@ use crate::{
     volume::Volume,
 };
 use glam::{DAffine3, DMat3, DVec3, Vec3};
-use kiln_core::{MAX_CHANNELS, Mesh, RAYS_PER_POINT, Sampling};
+use kiln_core::{MAX_CHANNELS, Mesh, Sampling};
 use kiln_trace::{CosineSums, KernelRates, TraceError, Tracer};
 
 /// Points of a model, about.
@@ -88,7 +88,7 @@ pub fn values_in_volume(volume: &Volume, points: &[ModelPoint], world_from_objec
     values
 }
 
-/// AO of an instance of a model at its points, `points × channels`, traced there by [`kiln_core::RAYS_PER_POINT`] rays a side;
+/// AO of an instance of a model at its points, `points × channels`, traced there by some rays a side, a power of two;
 /// NaN where no side of a point is valid. What has two sides has the mean of those that are.
 ///
 /// # Errors
@@ -99,10 +99,10 @@ pub fn values_traced(
     mesh: &Mesh,
     points: &[ModelPoint],
     world_from_object: &DAffine3,
-    sampling: &Sampling,
+    (sampling, rays): (&Sampling, u32),
 ) -> Result<Vec<f32>, TraceError> {
     let kernel = KernelRates::of(sampling);
-    let maker = SampleMaker::new(mesh, world_from_object, sampling.seed, RAYS_PER_POINT);
+    let maker = SampleMaker::new(mesh, world_from_object, sampling.seed, rays);
     let mut batch = Batch::default();
     let mut sides = Vec::with_capacity(points.len());
     let (mut last, mut index) = (u32::MAX, 0);
@@ -114,7 +114,7 @@ pub fn values_traced(
         sides.push(batch.samples.len() - before);
     }
     let mut sums = vec![CosineSums::default(); batch.samples.len()];
-    tracer.gather_cosine(&batch.samples, &kernel, RAYS_PER_POINT, &mut sums)?;
+    tracer.gather_cosine(&batch.samples, &kernel, rays, &mut sums)?;
     let mut sums = sums.iter();
     let mut values = Vec::with_capacity(points.len() * kernel.channels);
     for sides in sides {
@@ -144,6 +144,23 @@ mod tests {
             face_group: vec![0, 0],
             groups: vec![group],
             ..Mesh::default()
+        }
+    }
+
+    fn sampling() -> Sampling {
+        Sampling {
+            kernel: Kernel::Obscurance { half_distances_m: vec![2.0] },
+            rays_per_sample: 16,
+            target: None,
+            mean_samples_per_face: 4.0,
+            density_per_m2: None,
+            min_samples_per_face: 2,
+            max_samples_per_face: 64,
+            back_face_limit: 0.25,
+            seed: 1,
+            foliage: kiln_core::FoliageMode::default(),
+            ground_plane_y_m: None,
+            no_skip: std::collections::BTreeSet::new(),
         }
     }
 
@@ -187,6 +204,15 @@ mod tests {
         let below = 1.0 - 2.0 * 0.103_962_9; // 1 − 2 E3(3 ln 2 / 2)
         assert!((mean(false) - 1.0).abs() < 0.02, "{}", mean(false));
         assert!((mean(true) - 0.5 * (1.0 + below)).abs() < 0.02, "{} {below}", mean(true));
+        // The same by rays from the points themselves.
+        let sampling = sampling();
+        let traced = |double_sided| {
+            let mesh = card(double_sided);
+            let values = values_traced(&tracer, &mesh, &model_points(&mesh, 1), &place, (&sampling, 128)).unwrap();
+            values.iter().map(|ao| f64::from(*ao)).sum::<f64>() / values.len() as f64
+        };
+        assert!((traced(false) - 1.0).abs() < 1e-6, "{}", traced(false));
+        assert!((traced(true) - 0.5 * (1.0 + below)).abs() < 2e-3, "{} {below}", traced(true));
         let outside = DAffine3::from_translation(DVec3::new(0.0, 50.0, 0.0));
         assert!(values_in_volume(&volume, &model_points(&card(false), 1), &outside).iter().all(|ao| ao.is_nan()));
     }

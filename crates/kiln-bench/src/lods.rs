@@ -61,7 +61,7 @@ pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
     for level in &args.levels {
         let scratch = Scratch::new("lods")?;
         let scene = baked::bake(level, &["--foliage", "geometry"], scratch.path())?.scene;
-        let rows: Vec<Row> = scene.lods.par_iter().filter_map(|lod| row(&scene, lod)).collect();
+        let rows = by_node(scene.lods.par_iter().filter_map(|lod| row(&scene, lod)).collect());
         let name = level.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         let sum = |of: fn(&Row) -> f64| rows.iter().map(of).sum::<f64>();
         let total = Row {
@@ -88,6 +88,23 @@ pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
         }
     }
     Ok(())
+}
+
+/// Primitives of one node are one level of detail: they are solved as one mesh.
+fn by_node(rows: Vec<Row>) -> Vec<Row> {
+    let mut nodes: Vec<Row> = Vec::with_capacity(rows.len());
+    for row in rows {
+        match nodes.last_mut().filter(|last| last.name == row.name) {
+            Some(last) => {
+                last.faces += row.faces;
+                last.least_squares += row.least_squares;
+                last.at_vertices += row.at_vertices;
+                last.area_m2 += row.area_m2;
+            }
+            None => nodes.push(row),
+        }
+    }
+    nodes
 }
 
 fn cells(row: &Row) -> String {

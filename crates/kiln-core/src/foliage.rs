@@ -130,7 +130,7 @@ mod tests {
 
     #[test]
     fn values_at_points_are_ao_or_invalid() {
-        let work = PointsWork { mesh: 0, first: 2, count: 2, point_count: 3 };
+        let work = PointsWork { mesh: 0, first: 2, count: 2, point_count: 3, rays: 128 };
         let of = |value: f32, count: usize| PointValues { values: vec![value; count], rays: 1 }.check(&work, 2).is_ok();
         assert!(of(0.5, 12) && of(f32::NAN, 12));
         assert!(!of(0.5, 11) && !of(1.5, 12) && !of(f32::INFINITY, 12));

@@ -40,6 +40,6 @@ pub use solution::{CoarseFace, CoarseFaces, ComponentMethod, ErrorEstimate, Erro
 pub use summary::{BakeSummary, Baked, BeyondReach, FoliageSummary, LodSummary, MeshSummary, ModelSummary, NodeErrors};
 pub use task::{ExportSpec, JobId, PlanSpec, SourceFile, SourceManifest, TaskKey, TaskSpec, WorkSpec};
 pub use work::{
-    FitWork, Output, PointsWork, RAYS_PER_POINT, RAYS_PER_VOXEL, ReadWork, ResampleWork, ResultError, SolveWork,
-    TraceWork, VolumeWork, Work, WorkError,
+    FitWork, Output, PointsWork, RAYS_PER_VOXEL, ReadWork, ResampleWork, ResultError, SolveWork, TraceWork, VolumeWork,
+    Work, WorkError, rays_per_point,
 };

@@ -56,8 +56,11 @@ pub struct SolveWork {
 /// Rays of each voxel of the volume around trees (Sloan et al. 2013, section 4).
 pub const RAYS_PER_VOXEL: u32 = 1024;
 
-/// Rays of each side of a point on an instance of a model.
-pub const RAYS_PER_POINT: u32 = 128;
+/// Rays of each side of a point on an instance of a model that has so many: of what many instances say of their model's own
+/// AO the noise averages out, and the four numbers of each are of thousands of points.
+pub const fn rays_per_point(instances: usize) -> u32 {
+    if instances < 32 { 128 } else { 32 }
+}
 
 /// Some bricks of the volume around a level's trees. Its cost is the rays of their voxels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -79,6 +82,8 @@ pub struct PointsWork {
     pub count: u32,
     /// Points of each.
     pub point_count: u32,
+    /// Rays of each side of a point, a power of two.
+    pub rays: u32,
 }
 
 /// The fit of all instances of one model of trees. Its cost is their vertices.
@@ -202,7 +207,10 @@ impl Work {
                 check_run("face_count", *first_face, *face_count)?;
                 check_density(*density_per_m2)
             }
-            Self::Points(PointsWork { first, count, .. }) => check_run("count", *first, *count),
+            Self::Points(PointsWork { first, count, rays, .. }) => {
+                check_run("count", *first, *count)?;
+                check_rays(*rays)
+            }
             Self::Volume(VolumeWork { first_brick, brick_count }) => {
                 check_run("brick_count", *first_brick, *brick_count)
             }
@@ -268,6 +276,9 @@ pub(crate) fn check_range(what: &'static str, numbers: &[f32]) -> Result<(), Res
     }
 }
 
+/// Most rays of one side of a point.
+const MOST_RAYS: u32 = 65_536;
+
 fn check_density(density_per_m2: f64) -> Result<(), WorkError> {
     if density_per_m2 >= 0.0 && density_per_m2.is_finite() {
         return Ok(());
@@ -282,6 +293,13 @@ fn check_run(field: &'static str, first: u32, count: u32) -> Result<(), WorkErro
         return Ok(());
     }
     Err(WorkError { field, problem: format!("is {count} from {first}; it must be a run of at least one") })
+}
+
+fn check_rays(rays: u32) -> Result<(), WorkError> {
+    if rays.is_power_of_two() && rays <= MOST_RAYS {
+        return Ok(());
+    }
+    Err(WorkError { field: "rays", problem: format!("is {rays}; it must be a power of two up to {MOST_RAYS}") })
 }
 
 fn check_solution(vertices: usize, channels: usize, bytes: &[u8]) -> Result<(), ResultError> {
@@ -314,7 +332,7 @@ mod tests {
             let works = [
                 Work::Volume(VolumeWork { first_brick: first, brick_count: count }),
                 Work::Read(ReadWork { first, count }),
-                Work::Points(PointsWork { mesh: 0, first, count, point_count: 5 }),
+                Work::Points(PointsWork { mesh: 0, first, count, point_count: 5, rays: 128 }),
                 Work::Resample(ResampleWork { instance: 0, first_face: first, face_count: count, density_per_m2: 1.0 }),
                 Work::Trace(TraceWork {
                     instance: 0,
@@ -327,6 +345,9 @@ mod tests {
             works.map(|work| work.check().is_ok())
         };
         assert_eq!((run(7, 1), run(7, 0), run(u32::MAX, 1)), ([true; 5], [false; 5], [false; 5]));
+        let rays =
+            |rays| Work::Points(PointsWork { mesh: 0, first: 0, count: 1, point_count: 5, rays }).check().is_ok();
+        assert!(rays(32) && !rays(0) && !rays(33));
         let fit = |instance_count| Work::Fit(FitWork { mesh: 0, vertex_count: 3, instance_count }).check().is_ok();
         assert!(fit(1) && !fit(0));
     }

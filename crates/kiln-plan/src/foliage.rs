@@ -138,7 +138,8 @@ impl Planner<'_> {
     /// Points on the instances of a model, as many together as make a task, all with the same surroundings.
     fn add_points(&mut self, model: &ModelPlan, point_count: u32, reach: &Reach) -> Result<Vec<u32>, PlanError> {
         let mesh = &self.level.meshes[model.mesh as usize];
-        let rays_of_one = u64::from(point_count) * u64::from(kiln_core::RAYS_PER_POINT);
+        let rays = kiln_core::rays_per_point(model.instances.len());
+        let rays_of_one = u64::from(point_count) * u64::from(rays);
         let most = usize::try_from(POINT_RAYS / rays_of_one.max(1)).unwrap_or(1).max(1);
         let group = |index: &u32| reach.group(*index as usize);
         let (mut tasks, mut first) = (Vec::new(), 0);
@@ -152,8 +153,9 @@ impl Planner<'_> {
                     add_place(&mut family, &self.level.instances[*instance as usize].world_from_object);
                 }
                 family.value(&s.kernel).float(s.back_face_limit).integer(s.seed).value(&s.foliage).value(&s.no_skip);
+                family.integer(u64::from(rays));
                 let count = instances.len() as u32;
-                let work = Work::Points(PointsWork { mesh: model.mesh, first, count, point_count });
+                let work = Work::Points(PointsWork { mesh: model.mesh, first, count, point_count, rays });
                 let task = PlannedTask::new(work, family.finish(), u64::from(count) * rays_of_one);
                 tasks.push(self.graph.add(PlannedTask { surroundings, ..task }, []));
                 first += count;
@@ -258,7 +260,7 @@ mod tests {
         use TaskKind::{Fit, Points, Read, Solve, Trace};
         assert_eq!(kinds, [Trace, Trace, Trace, Solve, Trace, Solve, Points, Fit, Read]);
         assert_eq!(graph.inputs_of(7), [5, 6]);
-        assert_eq!(graph.tasks[6].cost, 100 * u64::from(kiln_core::RAYS_PER_POINT));
+        assert_eq!(graph.tasks[6].cost, 100 * 128);
         let mut moved = level.clone();
         moved.instances[0].world_from_object.translation.x += 0.5;
         let key = |graph: &TaskGraph| graph.key(&graph.tasks[6], &[]);

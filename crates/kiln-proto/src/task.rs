@@ -136,9 +136,13 @@ impl From<&Work> for v1::work_task::Work {
                 Self::Fit(v1::FitWork { mesh: *mesh, vertex_count: *vertex_count, instance_count: *instance_count })
             }
             Work::Read(ReadWork { first, count }) => Self::Read(v1::ReadWork { first: *first, count: *count }),
-            Work::Points(PointsWork { mesh, first, count, point_count }) => {
-                Self::Points(v1::PointsWork { mesh: *mesh, first: *first, count: *count, point_count: *point_count })
-            }
+            Work::Points(PointsWork { mesh, first, count, point_count, rays }) => Self::Points(v1::PointsWork {
+                mesh: *mesh,
+                first: *first,
+                count: *count,
+                point_count: *point_count,
+                rays: *rays,
+            }),
             Work::Resample(ResampleWork { instance, first_face, face_count, density_per_m2 }) => {
                 Self::Resample(v1::ResampleWork {
                     instance: *instance,
@@ -170,8 +174,8 @@ impl TryFrom<v1::work_task::Work> for Work {
                 Self::Fit(FitWork { mesh, vertex_count, instance_count })
             }
             v1::work_task::Work::Read(v1::ReadWork { first, count }) => Self::Read(ReadWork { first, count }),
-            v1::work_task::Work::Points(v1::PointsWork { mesh, first, count, point_count }) => {
-                Self::Points(PointsWork { mesh, first, count, point_count })
+            v1::work_task::Work::Points(v1::PointsWork { mesh, first, count, point_count, rays }) => {
+                Self::Points(PointsWork { mesh, first, count, point_count, rays })
             }
             v1::work_task::Work::Resample(work) => {
                 let v1::ResampleWork { instance, first_face, face_count, density_per_m2 } = work;
@@ -210,7 +214,7 @@ mod tests {
             .prop_map(|(mesh, vertex_count, instance_count)| Work::Fit(FitWork { mesh, vertex_count, instance_count }));
         let read = numbers().prop_map(|(first, count, _)| Work::Read(ReadWork { first, count }));
         let points = (any::<u32>(), numbers()).prop_map(|(mesh, (first, count, point_count))| {
-            Work::Points(PointsWork { mesh, first, count, point_count })
+            Work::Points(PointsWork { mesh, first, count, point_count, rays: 1 << (point_count % 17) })
         });
         let resample = (any::<u32>(), numbers(), 0.0..1e9f64).prop_map(
             |(instance, (first_face, face_count, _), density_per_m2)| {

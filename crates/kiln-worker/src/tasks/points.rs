@@ -3,7 +3,7 @@
 use super::{LoadedLevel, SceneTracer, counted::Counted, out_of_range};
 use crate::{TaskError, TaskOutput};
 use kiln_bake::{model_points, values_traced};
-use kiln_core::{PointValues, PointsWork, RAYS_PER_POINT, codec};
+use kiln_core::{PointValues, PointsWork, codec};
 
 pub(super) fn run(work: &PointsWork, level: &LoadedLevel, (_, tracer): &SceneTracer) -> Result<TaskOutput, TaskError> {
     let model = level.trees()?.model_of(work.mesh)?;
@@ -18,10 +18,10 @@ pub(super) fn run(work: &PointsWork, level: &LoadedLevel, (_, tracer): &SceneTra
     let (mut values, mut sides) = (Vec::new(), 0);
     for index in instances {
         let place = &level.level.instances[*index as usize].world_from_object;
-        let found = values_traced(&Counted(&**tracer), mesh, &points, place, sampling);
+        let found = values_traced(&Counted(&**tracer), mesh, &points, place, (sampling, work.rays));
         values.extend(found.map_err(|error| TaskError::from(&error))?);
         sides += points.iter().map(|point| 1 + u64::from(point.two_sided)).sum::<u64>();
     }
-    let rays = sides * u64::from(RAYS_PER_POINT);
+    let rays = sides * u64::from(work.rays);
     Ok(TaskOutput { rays, result: codec::encode(&PointValues { values, rays }), attachments: Vec::new() })
 }
