@@ -15,21 +15,23 @@ const RAYS_PER_SAMPLE: u32 = 8;
 /// Samples of a LOD's face on average: about as many as in the paper's table 1.
 const SAMPLES_PER_FACE: f64 = 8.0;
 
-/// Most samples of one face.
-const MOST_SAMPLES_PER_FACE: u32 = 256;
+/// Most samples of one face, in means: large faces must not take them from small ones, where the detail is.
+const MOST_MEANS: f64 = 8.0;
 
 /// Samples of a LOD, however few its faces are: vertex values of a few faces are means over few samples each.
 const LEAST_SAMPLES: f64 = 4096.0;
 
 /// How a LOD of so many faces is sampled in a level that is sampled so: a fixed number of samples per face, by area, that each
 /// read a sphere by few rays, since the least squares average over them.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "some ten thousand at most")]
 pub fn lod_sampling(level: &Sampling, faces: usize) -> Sampling {
+    let mean = SAMPLES_PER_FACE.max(LEAST_SAMPLES / faces.max(1) as f64);
     Sampling {
         target: None,
         rays_per_sample: RAYS_PER_SAMPLE,
-        mean_samples_per_face: SAMPLES_PER_FACE.max(LEAST_SAMPLES / faces.max(1) as f64),
+        mean_samples_per_face: mean,
         density_per_m2: None,
-        max_samples_per_face: MOST_SAMPLES_PER_FACE,
+        max_samples_per_face: (MOST_MEANS * mean) as u32,
         min_samples_per_face: 2,
         ..level.clone()
     }
