@@ -129,18 +129,23 @@ impl<'d> Gatherer<'d, '_, '_> {
     fn place_lods(&mut self, placements: &[Placement], findings: &mut Findings) -> Result<(), SceneError> {
         let levels = || placements.iter().filter(|placement| placement.lod_of.is_some());
         let mut instances_of: HashMap<usize, Vec<u32>> = HashMap::new();
+        let mut paired_of: HashMap<(usize, Option<u32>), Vec<u32>> = HashMap::new();
         for (index, fulls) in self.fulls.iter().enumerate() {
-            fulls.iter().for_each(|full| instances_of.entry(*full).or_default().push(index as u32));
+            let gpu_instance = self.gathered.instances[index].gpu_instance;
+            for full in fulls {
+                instances_of.entry(*full).or_default().push(index as u32);
+                paired_of.entry((*full, gpu_instance)).or_default().push(index as u32);
+            }
         }
         let mut count_at: HashMap<usize, usize> = HashMap::new();
         levels().for_each(|placement| *count_at.entry(placement.node).or_default() += 1);
         for placement in levels() {
-            let of_node = placement.lod_of.and_then(|full| instances_of.get(&full)).map_or(&[][..], Vec::as_slice);
+            let Some(full) = placement.lod_of else { continue };
+            let of_node = instances_of.get(&full);
             // As many instances of EXT_mesh_gpu_instancing as the full detail has: each stands for one of them.
-            let is_paired =
-                |index: &&u32| self.gathered.instances[**index as usize].gpu_instance == placement.gpu_instance;
-            let is_many = placement.gpu_instance.is_some() && count_at[&placement.node] == of_node.len();
-            let lod_of: Vec<u32> = of_node.iter().filter(|index| !is_many || is_paired(index)).copied().collect();
+            let is_many = placement.gpu_instance.is_some() && Some(count_at[&placement.node]) == of_node.map(Vec::len);
+            let found = if is_many { paired_of.get(&(full, placement.gpu_instance)) } else { of_node };
+            let lod_of = found.cloned().unwrap_or_default();
             self.place(placement, Some(lod_of), findings)?;
         }
         Ok(())

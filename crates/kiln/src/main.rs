@@ -21,13 +21,16 @@ use clap::Parser;
 use failure::Failure;
 use std::process::ExitCode;
 
+/// What a process ends with whose reader has gone, by the custom of shells: it may not have done all that it was asked.
+const READER_GONE: i32 = 141;
+
 /// Ends the process when who reads its output has gone, as `head` does; Rust's own `println!` would panic.
 fn end_with_the_reader() {
     let usual = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
         let text = panic.payload().downcast_ref::<String>().map_or("", String::as_str);
         if text.starts_with("failed printing to stdout") && text.contains("Broken pipe") {
-            std::process::exit(0);
+            std::process::exit(READER_GONE);
         }
         usual(panic);
     }));
