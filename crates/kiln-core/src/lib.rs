@@ -15,6 +15,7 @@ mod kind;
 mod level;
 mod mesh_form;
 mod moments;
+mod region;
 mod settings;
 mod skip;
 mod solution;
@@ -31,6 +32,10 @@ pub use graph_check::{GraphError, GraphProblem};
 pub use kind::{Lane, LanePart, MIXED_LANE, TaskKind};
 pub use level::{Gets, Instance, Level, LevelCounts, MeshEntry, VertexBlock, Warning};
 pub use moments::{FaceMoments, HalfMoments, MomentsError, TraceSummary};
+pub use region::{
+    CANDIDATES, CANDIDATES_PER_AXIS, CandidateBits, REGION_HARMONICS, REGION_PARAMETERS, Region, RegionEdge,
+    RegionErrors, RegionModel, RegionModels, RegionSamples, RegionSettings, RegionSummary, Regions,
+};
 pub use settings::{
     Attribute, BakeSettings, ColorMode, DEFAULT_REGULARIZATION, FoliageMode, Kernel, MAX_CHANNELS, OutputSettings,
     Quality, Remap, Sampling, SolveSettings, Target, TreeValues, ValueFormat,
