@@ -4,7 +4,7 @@
 //! those that need no ray, gathers the rest and sums what comes back into moments. [`density`] and [`sample_count`]
 //! say how many samples a face gets, for the plan. [`probe`] gathers at given points.
 //! [`read_decorators`] and [`resample_lod`] read a finished bake again (`resample`). [`volume`] is what is visible from
-//! points around trees, on a sparse lattice.
+//! points around trees, on a sparse lattice; [`gather_regions`] is what is visible where objects move.
 
 mod density;
 mod foliage;
@@ -12,6 +12,7 @@ mod model;
 mod noise;
 mod piece;
 mod probe;
+mod region;
 mod resample;
 mod rounds;
 mod samples;
@@ -24,6 +25,7 @@ pub use foliage::{ModelDensity, ModelFog, OrientedBox, model_fog, place_fog, thi
 pub use model::{ModelPoint, model_points, values_in_volume, values_traced};
 pub use piece::{Piece, trace_piece};
 pub use probe::{ProbePoint, ProbeResult, probe};
+pub use region::{RegionGather, gather_regions};
 pub use resample::{
     BakedError, BakedInstance, BakedPoint, BakedSurface, Decorator, DecoratorScalar, DecoratorSettings, VertexReadings,
     lod_sampling, read_at_vertices, read_decorators, resample_lod,

@@ -24,4 +24,5 @@ pub use error::{ArtefactError, VolumeError};
 pub use gather::{GatherSettings, VolumeBatch, gather_batch};
 pub use lattice::{LATTICE_OFFSET, MAX_COORDINATE};
 pub use layout::{BRICK_SIZE, BRICK_VOXELS, Brick, Layout, LayoutSettings};
+pub(crate) use reconstruct::COSINE_BANDS;
 pub use reconstruct::cosine_ao;

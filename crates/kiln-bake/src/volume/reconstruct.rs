@@ -8,8 +8,8 @@ use glam::{DVec3, Vec3};
 use kiln_core::MAX_CHANNELS;
 use kiln_trace::{HARMONICS, quadratic_harmonics};
 
-/// Weights of the constant, linear and quadratic functions.
-const BANDS: [f64; HARMONICS] = [1.0, 2.0 / 3.0, 2.0 / 3.0, 2.0 / 3.0, 0.25, 0.25, 0.25, 0.25, 0.25];
+/// Weights of the constant, linear and quadratic functions: what is seen, times these, is AO as a function of the normal.
+pub(crate) const COSINE_BANDS: [f64; HARMONICS] = [1.0, 2.0 / 3.0, 2.0 / 3.0, 2.0 / 3.0, 0.25, 0.25, 0.25, 0.25, 0.25];
 
 impl Volume {
     /// What a point sees, for each channel, interpolated between voxels; 0 for channels that there are not. `None` for a point
@@ -39,6 +39,6 @@ pub fn cosine_ao(coefficients: &[f64; HARMONICS], normal: DVec3) -> f64 {
     let normal = normal.try_normalize().map(DVec3::as_vec3);
     let basis = quadratic_harmonics(normal.unwrap_or(Vec3::Y));
     let count = if normal.is_some() { HARMONICS } else { 1 };
-    let terms = BANDS.iter().zip(basis).zip(coefficients).take(count);
+    let terms = COSINE_BANDS.iter().zip(basis).zip(coefficients).take(count);
     terms.map(|((band, y), c)| band * f64::from(y) * c).sum::<f64>().clamp(0.0, 1.0)
 }

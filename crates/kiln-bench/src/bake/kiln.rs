@@ -1,6 +1,6 @@
 //! Bakes in processes of their own, so that memory and times are those of a user.
 
-use super::{Quality, farm::RunningFarm, report::Report};
+use super::{How, farm::RunningFarm, report::Report};
 use crate::BenchError;
 use kiln_core::Digest;
 use kiln_worker::tasks::Backend;
@@ -98,12 +98,11 @@ impl Kiln {
     }
 
     /// Bakes a level from nothing.
-    pub(super) fn bake(&self, level: &Path, quality: Quality, variant: Variant) -> Result<Bake, BenchError> {
+    pub(super) fn bake(&self, level: &Path, how: How, variant: Variant) -> Result<Bake, BenchError> {
         self.forget()?;
-        let options = ["--quality", quality.name()];
         let baked = match variant.place {
-            Place::Process => self.one_process(level, &options, variant.threads, &self.path("baked.glb")),
-            Place::Farm => self.on_farm(level, quality, variant),
+            Place::Process => self.one_process(level, &how.options(), variant.threads, &self.path("baked.glb")),
+            Place::Farm => self.on_farm(level, how, variant),
         }?;
         self.forget()?;
         Ok(baked)
@@ -129,11 +128,11 @@ impl Kiln {
         Ok(Bake { variant, wall_secs, peak_bytes: report.peak_memory_bytes, output: digest(output)?, report })
     }
 
-    fn on_farm(&self, level: &Path, quality: Quality, variant: Variant) -> Result<Bake, BenchError> {
+    fn on_farm(&self, level: &Path, how: How, variant: Variant) -> Result<Bake, BenchError> {
         let farm = RunningFarm::start(self, variant.threads, &self.path("data"))?;
         let (output, report) = (self.path("baked.glb"), self.path("report.json"));
         let mut command = self.command("submit");
-        command.arg(level).args(["--wait", "--no-progress", "--quality", quality.name()]);
+        command.arg(level).args(["--wait", "--no-progress"]).args(how.options());
         command.arg("--coordinator").arg(farm.address()).arg("-o").arg(&output).arg("--report").arg(&report);
         let began = Instant::now();
         finish(&mut command)?;

@@ -41,6 +41,9 @@ pub struct Args {
     /// Quality of the bakes
     #[arg(long, value_enum, default_value_t)]
     quality: Quality,
+    /// What the numbers of trees are fitted to
+    #[arg(long, value_enum, default_value_t)]
+    trees: Trees,
     /// Numbers of threads to bake with [default: --threads]
     #[arg(long, value_name = "N1,N2…", value_delimiter = ',', value_parser = clap::value_parser!(u16).range(1..=1024))]
     thread_counts: Vec<u16>,
@@ -86,6 +89,37 @@ impl Quality {
     }
 }
 
+/// What a bake fits the numbers of trees to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Trees {
+    #[default]
+    Points,
+    Volume,
+}
+
+impl Trees {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Points => "points",
+            Self::Volume => "volume",
+        }
+    }
+}
+
+/// How all bakes are made.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct How {
+    quality: Quality,
+    trees: Trees,
+}
+
+impl How {
+    fn options(self) -> [&'static str; 4] {
+        ["--quality", self.quality.name(), "--trees", self.trees.name()]
+    }
+}
+
 /// What was found on one level.
 #[derive(Debug, Serialize)]
 struct LevelReport {
@@ -101,7 +135,8 @@ struct LevelReport {
 #[derive(Serialize)]
 struct Report {
     provenance: Provenance,
-    quality: Quality,
+    #[serde(flatten)]
+    how: How,
     levels: Vec<LevelReport>,
 }
 
@@ -112,7 +147,8 @@ pub fn run(args: &Args, backend: &Backend) -> Result<(), BenchError> {
     let scratch = Scratch::new("bake")?;
     let kiln = Kiln::this(scratch.path(), backend)?;
     let mut levels = Vec::new();
-    let head = format!("{}; quality {}", provenance.sentence(), args.quality.name());
+    let (quality, trees) = (args.quality.name(), args.trees.name());
+    let head = format!("{}; quality {quality}, trees by {trees}", provenance.sentence());
     println!("{head}");
     for (path, made_of) in args.scenes(scratch.path())? {
         let level = args.measure(&path, made_of, &kiln)?;
@@ -129,7 +165,7 @@ pub fn run(args: &Args, backend: &Backend) -> Result<(), BenchError> {
         write(path, (title + &tables.concat() + &scaling::table(&levels)).as_bytes())?;
     }
     let Some(path) = &args.json_out else { return Ok(()) };
-    let report = Report { provenance, quality: args.quality, levels };
+    let report = Report { provenance, how: args.how(), levels };
     let text = serde_json::to_string(&report)
         .map_err(|error| BenchError::Failed { step: "JSON", reason: error.to_string() })?;
     write(path, text.as_bytes())
@@ -146,6 +182,10 @@ impl Args {
         }
         scenes.extend(self.levels.iter().map(|path| (path.clone(), None)));
         Ok(scenes)
+    }
+
+    fn how(&self) -> How {
+        How { quality: self.quality, trees: self.trees }
     }
 
     /// The variants of a repetition, in their order; the last in this process's manner is the one that tables are of.
@@ -169,13 +209,13 @@ impl Args {
         for rep in 0..self.reps {
             for variant in self.variants() {
                 eprintln!("{name}: {} of {}, {}", rep + 1, self.reps, variant.name());
-                bakes.push(kiln.bake(path, self.quality, variant)?);
+                bakes.push(kiln.bake(path, self.how(), variant)?);
             }
         }
         let reference = match &self.reference {
             Some(glob) => {
                 eprintln!("{name}: reference of {glob}");
-                Some(Reference::measure(path, glob, self.quality, kiln)?)
+                Some(Reference::measure(path, glob, self.how(), kiln)?)
             }
             None => None,
         };

@@ -1,7 +1,7 @@
 //! Error of a part of a level against `--quality reference` of the same part, by `kiln compare`.
 
 use super::{
-    Quality,
+    How, Quality,
     kiln::{Kiln, failed, finish},
 };
 use crate::BenchError;
@@ -42,16 +42,16 @@ struct Difference {
 
 impl Reference {
     /// Bakes what matches twice; all of the level occludes.
-    pub(super) fn measure(level: &Path, glob: &str, quality: Quality, kiln: &Kiln) -> Result<Self, BenchError> {
+    pub(super) fn measure(level: &Path, glob: &str, how: How, kiln: &Kiln) -> Result<Self, BenchError> {
         let (mut wall_secs, threads) = (0.0, rayon::current_num_threads());
-        let mut bake = |quality: Quality, name: &str| {
+        let mut bake = |how: How, name: &str| {
             let output = kiln.path(name);
-            let baked = kiln.one_process(level, &["--quality", quality.name(), "--only", glob], threads, &output)?;
+            let baked = kiln.one_process(level, &[&how.options()[..], &["--only", glob]].concat(), threads, &output)?;
             wall_secs += baked.wall_secs;
             Ok::<_, BenchError>((output, baked.report))
         };
-        let (part, report) = bake(quality, "part.glb")?;
-        let (reference, _) = bake(Quality::Reference, "reference.glb")?;
+        let (part, report) = bake(how, "part.glb")?;
+        let (reference, _) = bake(How { quality: Quality::Reference, ..how }, "reference.glb")?;
         kiln.forget()?;
         // Seen area is found on the reference, whatever it is compared with.
         let text = finish(kiln.command("compare").arg("--json").arg(&reference).arg(&part))?;
