@@ -58,7 +58,7 @@ fn content(expect: &Expect, bytes: &[u8]) -> Result<Vec<Digest>, String> {
         Expect::Baked { level } => {
             let baked: Baked = codec::decode("a bake's summary", bytes).map_err(|e| e.to_string())?;
             match baked.summary.level == *level {
-                true => Ok(vec![baked.file]),
+                true => Ok(baked.files().collect()),
                 false => Err(format!("it is of the level {} in place of {level}", baked.summary.level)),
             }
         }
@@ -87,6 +87,9 @@ mod tests {
 
         let summary = codec::encode(&baked());
         assert_eq!(content(&Expect::Baked { level }, &summary), Ok(vec![baked().file]));
+        let pack = kiln_core::PackFile { digest: Digest::of(b"pack"), bytes: 4, sizes: Vec::new() };
+        let packed = codec::encode(&Baked { pack: Some(pack.clone()), ..baked() });
+        assert_eq!(content(&Expect::Baked { level }, &packed), Ok(vec![baked().file, pack.digest]));
         assert!(refused(&Expect::Baked { level: Digest::default() }, &summary).contains("is of the level"));
 
         let mut moments = FaceMoments::new(2);

@@ -319,7 +319,7 @@ fn find_answer(store: &Store, key: TaskKey) -> Result<Option<(Answer, Baked)>, S
     let Some(digest) = store.result(key)? else { return Ok(None) };
     let Some(answer) = read::<Answer>(store, "an answer", &digest)? else { return Ok(None) };
     let Some(baked) = read::<Baked>(store, "a bake's summary", &answer.baked)? else { return Ok(None) };
-    Ok(store.size(&baked.file)?.is_some().then_some((answer, baked)))
+    Ok(are_there(store, &baked)?.then_some((answer, baked)))
 }
 
 /// Results of tasks; import and export count only if what they stored besides is there too.
@@ -330,7 +330,7 @@ fn find_results(store: &Store, nodes: &[(Node, TaskKey)]) -> Result<Vec<(Node, O
         let whole = match (node, result) {
             (Node::Import, Some(digest)) => whole(store, &Expect::Level, digest)?,
             (Node::Export, Some(digest)) => match read::<Baked>(store, "a bake's summary", &digest)? {
-                Some(baked) => store.size(&baked.file)?.is_some(),
+                Some(baked) => are_there(store, &baked)?,
                 None => false,
             },
             _ => true,
@@ -338,6 +338,11 @@ fn find_results(store: &Store, nodes: &[(Node, TaskKey)]) -> Result<Vec<(Node, O
         found.push((node, result.filter(|_| whole)));
     }
     Ok(found)
+}
+
+/// Whether the files that a bake made are there.
+fn are_there(store: &Store, baked: &Baked) -> Result<bool, StoreError> {
+    Ok(store.missing(&baked.files().collect::<Vec<_>>())?.is_empty())
 }
 
 fn whole(store: &Store, expect: &Expect, digest: Digest) -> Result<bool, StoreError> {

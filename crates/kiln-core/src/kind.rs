@@ -18,8 +18,12 @@ pub enum TaskKind {
     Volume,
     /// Points on some instances of a model to what can be seen from them.
     Points,
+    /// Valid points of some visibility regions to what can be seen from them.
+    Regions,
     /// A model's local AO, and what its instances should have, to four numbers for each of them.
     Fit,
+    /// What can be seen in all visibility regions to a model for each.
+    Model,
     /// Finished values around shrubs and decorators to one number for each of them.
     Read,
     /// Finished values of a full-detail mesh to moments of the faces of a lower level of detail.
@@ -30,14 +34,16 @@ pub enum TaskKind {
 
 impl TaskKind {
     /// Every kind, in the order of the data path.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 12] = [
         Self::Import,
         Self::Plan,
         Self::Trace,
         Self::Solve,
         Self::Volume,
         Self::Points,
+        Self::Regions,
         Self::Fit,
+        Self::Model,
         Self::Read,
         Self::Resample,
         Self::Export,
@@ -47,7 +53,7 @@ impl TaskKind {
     /// other revisions are never taken for its own. A golden test in the kind's crate fails otherwise.
     pub const fn kernel_rev(self) -> u32 {
         match self {
-            Self::Points | Self::Read | Self::Resample => 1,
+            Self::Points | Self::Regions | Self::Model | Self::Read | Self::Resample => 1,
             Self::Volume | Self::Fit => 2,
             Self::Solve => 4,
             Self::Import => 6,
@@ -65,7 +71,9 @@ impl TaskKind {
             Self::Solve => "solve",
             Self::Volume => "volume",
             Self::Points => "points",
+            Self::Regions => "regions",
             Self::Fit => "fit",
+            Self::Model => "model",
             Self::Read => "read",
             Self::Resample => "resample",
             Self::Export => "export",
@@ -76,8 +84,8 @@ impl TaskKind {
     /// if they are the same everywhere.
     pub const fn lane_part(self) -> Option<LanePart> {
         match self {
-            Self::Trace | Self::Volume | Self::Points | Self::Read => Some(LanePart::Trace),
-            Self::Solve | Self::Fit => Some(LanePart::Solve),
+            Self::Trace | Self::Volume | Self::Points | Self::Regions | Self::Read => Some(LanePart::Trace),
+            Self::Solve | Self::Fit | Self::Model => Some(LanePart::Solve),
             // Levels of detail are resampled by the processor, whose hits are the same everywhere.
             Self::Import | Self::Plan | Self::Resample | Self::Export => None,
         }
@@ -150,8 +158,10 @@ mod tests {
         let solve = Some("portable".to_owned());
         let cpu = Some("cpu".to_owned());
         let expected =
-            [None, None, cpu.clone(), solve.clone(), cpu.clone(), cpu.clone(), solve.clone(), cpu, None, None];
+            [&None, &None, &cpu, &solve, &cpu, &cpu, &cpu, &solve, &solve, &cpu, &None, &None].map(Clone::clone);
         assert_eq!(needs(&lane), expected);
-        assert_eq!(needs(&mixed), [None, None, None, solve.clone(), None, None, solve, None, None, None]);
+        let expected =
+            [&None, &None, &None, &solve, &None, &None, &None, &solve, &solve, &None, &None, &None].map(Clone::clone);
+        assert_eq!(needs(&mixed), expected);
     }
 }

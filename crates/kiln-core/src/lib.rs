@@ -42,9 +42,11 @@ pub use settings::{
 };
 pub use skip::{REACH_EPSILON, SkipRule};
 pub use solution::{CoarseFace, CoarseFaces, ComponentMethod, ErrorEstimate, ErrorHistogram, Solution, SolveSummary};
-pub use summary::{BakeSummary, Baked, BeyondReach, FoliageSummary, LodSummary, MeshSummary, ModelSummary, NodeErrors};
+pub use summary::{
+    BakeSummary, Baked, BeyondReach, FoliageSummary, LodSummary, MeshSummary, ModelSummary, NodeErrors, PackFile,
+};
 pub use task::{ExportSpec, JobId, PlanSpec, SourceFile, SourceManifest, TaskKey, TaskSpec, WorkSpec};
 pub use work::{
-    FitWork, Output, PointsWork, RAYS_PER_VOXEL, ReadWork, ResampleWork, ResultError, SolveWork, TraceWork, VolumeWork,
-    Work, WorkError, rays_per_point,
+    FitWork, ModelWork, Output, PointsWork, RAYS_PER_VOXEL, ReadWork, RegionsWork, ResampleWork, ResultError,
+    SolveWork, TraceWork, VolumeWork, Work, WorkError, rays_per_point,
 };

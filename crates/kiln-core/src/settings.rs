@@ -401,4 +401,6 @@ pub struct OutputSettings {
     pub remap: Option<Remap>,
     /// Whether `_AO_RESIDUAL` is written too: where the mesh is too coarse.
     pub residual: bool,
+    /// Whether a pack is written, which an engine loads; it is where the level has visibility regions, too.
+    pub pack: bool,
 }

@@ -11,8 +11,28 @@ pub struct Baked {
     pub file: Digest,
     /// Its size.
     pub bytes: u64,
+    /// The pack that an engine loads, where it was asked for, or the level has visibility regions.
+    pub pack: Option<PackFile>,
     /// What the bake did and how well.
     pub summary: BakeSummary,
+}
+
+impl Baked {
+    /// Digests of the files that it names.
+    pub fn files(&self) -> impl Iterator<Item = Digest> {
+        std::iter::once(self.file).chain(self.pack.as_ref().map(|pack| pack.digest))
+    }
+}
+
+/// A pack (`docs/pack-format.md`).
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PackFile {
+    /// Digest of the file.
+    pub digest: Digest,
+    /// Its size.
+    pub bytes: u64,
+    /// Bytes by what they are, in the order of the file.
+    pub sizes: Vec<(String, u64)>,
 }
 
 /// The part of the report that depends on the result alone, not on when and where it was computed.
@@ -38,6 +58,8 @@ pub struct BakeSummary {
     pub foliage: FoliageSummary,
     /// What happened to lower levels of detail.
     pub lods: LodSummary,
+    /// What happened in visibility regions; nothing without any.
+    pub regions: Option<crate::RegionSummary>,
     /// Import's and export's warnings.
     pub warnings: Vec<Warning>,
 }

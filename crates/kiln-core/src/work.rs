@@ -4,7 +4,10 @@
 //! result, its message in `kiln-proto` and its arm in `kiln-worker`. Whoever plans, leases, stores or skips tasks
 //! treats all kinds alike.
 
-use crate::{FaceMoments, InstanceNumbers, MomentsError, PointValues, Solution, TaskKind, TreeFits, codec};
+use crate::{
+    CANDIDATES, FaceMoments, InstanceNumbers, MomentsError, PointValues, RegionModels, RegionSamples, Solution,
+    TaskKind, TreeFits, codec,
+};
 use serde::{Deserialize, Serialize};
 
 /// What a task of a graph does, with all that a worker needs besides the level and the results of other tasks.
@@ -18,6 +21,10 @@ pub enum Work {
     Volume(VolumeWork),
     /// Gives encoded [`PointValues`]; takes nothing.
     Points(PointsWork),
+    /// Gives encoded [`RegionSamples`]; takes nothing.
+    Regions(RegionsWork),
+    /// Gives encoded [`RegionModels`]; takes the samples of all regions, in their order.
+    Model(ModelWork),
     /// Gives encoded [`TreeFits`]; takes the [`Solution`] of its model alone, then all batches of the volume, or the values
     /// at the points of all its instances.
     Fit(FitWork),
@@ -86,6 +93,29 @@ pub struct PointsWork {
     pub rays: u32,
 }
 
+/// What can be seen in some visibility regions. Its cost is the rays of their candidates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RegionsWork {
+    /// Index of the first region in the level.
+    pub first: u32,
+    /// How many, at least one.
+    pub count: u32,
+}
+
+/// The models of all visibility regions. Its cost is their candidates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ModelWork {
+    /// Regions of the level, at least one.
+    pub region_count: u32,
+}
+
+impl ModelWork {
+    /// Points that there are at most.
+    pub const fn points(self) -> u64 {
+        self.region_count as u64 * CANDIDATES as u64
+    }
+}
+
 /// The fit of all instances of one model of trees. Its cost is their vertices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FitWork {
@@ -140,6 +170,8 @@ pub enum Output {
         /// How many.
         count: u32,
     },
+    /// The [`RegionModels`] of the level.
+    Regions,
 }
 
 /// Work that cannot be done, whatever the level.
@@ -193,6 +225,8 @@ impl Work {
             Self::Solve(_) => TaskKind::Solve,
             Self::Volume(_) => TaskKind::Volume,
             Self::Points(_) => TaskKind::Points,
+            Self::Regions(_) => TaskKind::Regions,
+            Self::Model(_) => TaskKind::Model,
             Self::Fit(_) => TaskKind::Fit,
             Self::Read(_) => TaskKind::Read,
             Self::Resample(_) => TaskKind::Resample,
@@ -214,7 +248,10 @@ impl Work {
             Self::Volume(VolumeWork { first_brick, brick_count }) => {
                 check_run("brick_count", *first_brick, *brick_count)
             }
-            Self::Read(ReadWork { first, count }) => check_run("count", *first, *count),
+            Self::Read(ReadWork { first, count }) | Self::Regions(RegionsWork { first, count }) => {
+                check_run("count", *first, *count)
+            }
+            Self::Model(ModelWork { region_count }) => check_run("region_count", 0, *region_count),
             Self::Fit(FitWork { instance_count: 0, .. }) => {
                 Err(WorkError { field: "instance_count", problem: "is 0; a model has instances".to_owned() })
             }
@@ -233,11 +270,14 @@ impl Work {
             (Self::Fit(_), Self::Solve(solve)) => solve.alone,
             (Self::Fit(_), Self::Volume(_)) => true,
             (Self::Read(_), Self::Solve(solve)) => !solve.alone,
+            (Self::Model(_), Self::Regions(_)) => true,
             (
                 Self::Trace(_)
                 | Self::Solve(_)
                 | Self::Volume(_)
                 | Self::Points(_)
+                | Self::Regions(_)
+                | Self::Model(_)
                 | Self::Fit(_)
                 | Self::Read(_)
                 | Self::Resample(_),
@@ -259,6 +299,12 @@ impl Work {
             Self::Solve(solve) => check_solution(solve.vertex_count as usize, channels, bytes),
             // Its own crate checks all of it when it is read.
             Self::Volume(_) => check_size("empty results", usize::from(bytes.is_empty()), 0),
+            Self::Regions(run) => {
+                codec::decode::<RegionSamples>("samples of regions", bytes)?.check(run.count as usize, channels)
+            }
+            Self::Model(model) => {
+                codec::decode::<RegionModels>("models of regions", bytes)?.check(model.region_count as usize, channels)
+            }
             Self::Fit(fit) => codec::decode::<TreeFits>("fits of trees", bytes)?.check(fit, channels),
             Self::Read(read) => {
                 let numbers: Vec<InstanceNumbers> = codec::decode("numbers of instances", bytes)?;
@@ -332,6 +378,7 @@ mod tests {
             let works = [
                 Work::Volume(VolumeWork { first_brick: first, brick_count: count }),
                 Work::Read(ReadWork { first, count }),
+                Work::Regions(RegionsWork { first, count }),
                 Work::Points(PointsWork { mesh: 0, first, count, point_count: 5, rays: 128 }),
                 Work::Resample(ResampleWork { instance: 0, first_face: first, face_count: count, density_per_m2: 1.0 }),
                 Work::Trace(TraceWork {
@@ -344,7 +391,7 @@ mod tests {
             ];
             works.map(|work| work.check().is_ok())
         };
-        assert_eq!((run(7, 1), run(7, 0), run(u32::MAX, 1)), ([true; 5], [false; 5], [false; 5]));
+        assert_eq!((run(7, 1), run(7, 0), run(u32::MAX, 1)), ([true; 6], [false; 6], [false; 6]));
         let rays =
             |rays| Work::Points(PointsWork { mesh: 0, first: 0, count: 1, point_count: 5, rays }).check().is_ok();
         assert!(rays(32) && !rays(0) && !rays(33));

@@ -9,6 +9,7 @@ mod boxes;
 mod foliage;
 mod lods;
 mod reach;
+mod regions;
 
 pub use foliage::{FoliagePlan, ModelPlan, RunPlan, VolumePlan};
 pub use reach::Reach;
@@ -95,6 +96,7 @@ pub fn plan(
         solve_of[index] = Some(planner.add_instance(index, sampling, group));
     }
     planner.add_foliage(foliage, reach, &solve_of)?;
+    planner.add_regions(reach)?;
     for (index, sampling) in sampling.iter().enumerate().filter(|(index, _)| !is_traced(index)) {
         if gets_values(&&level.instances[index]) {
             planner.add_lod(index, sampling, &solve_of);
@@ -247,6 +249,7 @@ pub(crate) mod tests {
             bounds: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
             meshes: vec![mesh("wall", 2500), mesh("crate", 12)],
             instances: vec![instance(0, 0.0), instance(1, 1.0), instance(1, 2.0)],
+            regions: kiln_core::Regions::default(),
             sampling: Sampling {
                 target: None,
                 kernel: Kernel::Obscurance { half_distances_m: vec![2.0, 300.0] },
@@ -268,7 +271,7 @@ pub(crate) mod tests {
         }
     }
 
-    fn graph(level: &Level) -> TaskGraph {
+    pub(crate) fn graph(level: &Level) -> TaskGraph {
         with_foliage(level, &FoliagePlan::default())
     }
 
@@ -287,7 +290,7 @@ pub(crate) mod tests {
         plan(Digest::default(), level, &lane, &sampling, foliage, &Reach::new(level, &seen)).unwrap()
     }
 
-    fn seen(level: &Level, instance: &Instance) -> Bounds {
+    pub(crate) fn seen(level: &Level, instance: &Instance) -> Bounds {
         let bounds = level.meshes[instance.mesh as usize].bounds;
         let at = |corner| instance.world_from_object.transform_point3(corner);
         Bounds { min: at(bounds.min), max: at(bounds.max) }

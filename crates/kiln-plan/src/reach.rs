@@ -14,19 +14,21 @@ const SLACK: f64 = 1e-4;
 /// group have the same occluders, however many they are, and small movements change nothing.
 const CELL: f64 = 0.25;
 
-/// What can stop the rays of each receiving instance.
+/// What can stop the rays of each receiving instance, and of each visibility region.
 #[derive(Debug)]
 pub struct Reach {
     /// Occluders of each group of receivers, ascending.
     groups: Vec<Vec<u32>>,
     /// The group of each instance that receives.
     group_of: Vec<Option<usize>>,
+    /// The group of each visibility region.
+    group_of_region: Vec<usize>,
     /// A box around each group's occluders.
     bounds_m: Vec<Bounds>,
 }
 
 impl Reach {
-    /// Finds the occluders of each receiver. `seen_m` has a box for each instance, metres relative to the level's origin,
+    /// Finds the occluders of each receiver and region. `seen_m` has a box for each instance, metres relative to the level's origin,
     /// that holds its surface and the origins of its rays, rounding included; an empty one for an instance that is not
     /// there.
     pub fn new(level: &Level, seen_m: &[Bounds]) -> Self {
@@ -52,8 +54,10 @@ impl Reach {
             occluders.iter().for_each(|index| bounds.merge(&seen_m[*index as usize]));
             bounds
         };
+        let regions = level.regions.regions.iter();
+        let group_of_region = regions.map(|region| group(&region.bounds)).collect();
         let bounds_m = groups.iter().map(around).collect();
-        Self { groups, group_of, bounds_m }
+        Self { groups, group_of, group_of_region, bounds_m }
     }
 
     /// How many groups of receivers have occluders of their own.
@@ -74,6 +78,11 @@ impl Reach {
     /// The group of an instance; `None` if it does not receive.
     pub fn group(&self, instance: usize) -> Option<usize> {
         self.group_of.get(instance).copied().flatten()
+    }
+
+    /// The group of a visibility region; `None` if there is no such region.
+    pub fn group_of_region(&self, region: usize) -> Option<usize> {
+        self.group_of_region.get(region).copied()
     }
 
     /// For each instance whether some receiver's rays can come to it.

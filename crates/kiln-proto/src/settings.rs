@@ -189,6 +189,7 @@ impl From<&OutputSettings> for v1::OutputSettings {
             blend: output.blend.clone().unwrap_or_default(),
             remap,
             residual: output.residual,
+            pack: output.pack,
         }
     }
 }
@@ -221,7 +222,8 @@ impl TryFrom<v1::OutputSettings> for OutputSettings {
             Some(WireRemap::Gamma(gamma)) => Some(Remap::Gamma(positive("gamma", gamma)?)),
             Some(WireRemap::Curve(curve)) => Some(Remap::Curve(points(&curve)?)),
         };
-        Ok(Self { attribute, format, color, blend: some_list(output.blend), remap, residual: output.residual })
+        let (blend, residual, pack) = (some_list(output.blend), output.residual, output.pack);
+        Ok(Self { attribute, format, color, blend, remap, residual, pack })
     }
 }
 
@@ -261,15 +263,16 @@ mod tests {
             option::of(select(vec![ColorMode::Multiply, ColorMode::Replace])),
             option::of(prop::collection::vec(0.0..1.0f64, 1..=4)),
             option::of(remap),
-            any::<bool>(),
+            any::<[bool; 2]>(),
         )
-            .prop_map(|(attribute, format, color, blend, remap, residual)| OutputSettings {
+            .prop_map(|(attribute, format, color, blend, remap, [residual, pack])| OutputSettings {
                 attribute,
                 format,
                 color,
                 blend,
                 remap,
                 residual,
+                pack,
             })
     }
 

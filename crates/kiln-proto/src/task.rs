@@ -5,8 +5,8 @@ use crate::{
     limits, v1,
 };
 use kiln_core::{
-    ExportSpec, FitWork, Lane, PlanSpec, PointsWork, ReadWork, ResampleWork, SolveWork, TaskKind, TaskSpec, TraceWork,
-    VolumeWork, Work, WorkSpec,
+    ExportSpec, FitWork, Lane, ModelWork, PlanSpec, PointsWork, ReadWork, RegionsWork, ResampleWork, SolveWork,
+    TaskKind, TaskSpec, TraceWork, VolumeWork, Work, WorkSpec,
 };
 
 impl From<TaskKind> for v1::TaskKind {
@@ -20,6 +20,8 @@ impl From<TaskKind> for v1::TaskKind {
             TaskKind::Fit => Self::Fit,
             TaskKind::Read => Self::Read,
             TaskKind::Points => Self::Points,
+            TaskKind::Regions => Self::Regions,
+            TaskKind::Model => Self::Model,
             TaskKind::Resample => Self::Resample,
             TaskKind::Export => Self::Export,
         }
@@ -39,6 +41,8 @@ impl TryFrom<v1::TaskKind> for TaskKind {
             v1::TaskKind::Fit => Ok(Self::Fit),
             v1::TaskKind::Read => Ok(Self::Read),
             v1::TaskKind::Points => Ok(Self::Points),
+            v1::TaskKind::Regions => Ok(Self::Regions),
+            v1::TaskKind::Model => Ok(Self::Model),
             v1::TaskKind::Resample => Ok(Self::Resample),
             v1::TaskKind::Export => Ok(Self::Export),
             v1::TaskKind::Unspecified => Err(FieldError::new("kind", "is missing or unknown")),
@@ -135,6 +139,10 @@ impl From<&Work> for v1::work_task::Work {
             Work::Fit(FitWork { mesh, vertex_count, instance_count }) => {
                 Self::Fit(v1::FitWork { mesh: *mesh, vertex_count: *vertex_count, instance_count: *instance_count })
             }
+            Work::Regions(RegionsWork { first, count }) => {
+                Self::Regions(v1::RegionsWork { first: *first, count: *count })
+            }
+            Work::Model(ModelWork { region_count }) => Self::Model(v1::ModelWork { region_count: *region_count }),
             Work::Read(ReadWork { first, count }) => Self::Read(v1::ReadWork { first: *first, count: *count }),
             Work::Points(PointsWork { mesh, first, count, point_count, rays }) => Self::Points(v1::PointsWork {
                 mesh: *mesh,
@@ -173,6 +181,10 @@ impl TryFrom<v1::work_task::Work> for Work {
             v1::work_task::Work::Fit(v1::FitWork { mesh, vertex_count, instance_count }) => {
                 Self::Fit(FitWork { mesh, vertex_count, instance_count })
             }
+            v1::work_task::Work::Regions(v1::RegionsWork { first, count }) => {
+                Self::Regions(RegionsWork { first, count })
+            }
+            v1::work_task::Work::Model(v1::ModelWork { region_count }) => Self::Model(ModelWork { region_count }),
             v1::work_task::Work::Read(v1::ReadWork { first, count }) => Self::Read(ReadWork { first, count }),
             v1::work_task::Work::Points(v1::PointsWork { mesh, first, count, point_count, rays }) => {
                 Self::Points(PointsWork { mesh, first, count, point_count, rays })
@@ -212,6 +224,8 @@ mod tests {
             numbers().prop_map(|(first_brick, brick_count, _)| Work::Volume(VolumeWork { first_brick, brick_count }));
         let fit = numbers()
             .prop_map(|(mesh, vertex_count, instance_count)| Work::Fit(FitWork { mesh, vertex_count, instance_count }));
+        let regions = numbers().prop_map(|(first, count, _)| Work::Regions(RegionsWork { first, count }));
+        let model = numbers().prop_map(|(_, region_count, _)| Work::Model(ModelWork { region_count }));
         let read = numbers().prop_map(|(first, count, _)| Work::Read(ReadWork { first, count }));
         let points = (any::<u32>(), numbers()).prop_map(|(mesh, (first, count, point_count))| {
             Work::Points(PointsWork { mesh, first, count, point_count, rays: 1 << (point_count % 17) })
@@ -221,7 +235,7 @@ mod tests {
                 Work::Resample(ResampleWork { instance, first_face, face_count, density_per_m2 })
             },
         );
-        prop_oneof![trace, solve, volume, fit, read, points, resample]
+        prop_oneof![trace, solve, volume, fit, read, points, regions, model, resample]
     }
 
     fn any_spec() -> impl Strategy<Value = TaskSpec> {

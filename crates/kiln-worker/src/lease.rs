@@ -140,13 +140,14 @@ const PIECES_OF_SMALL_SOLVE: usize = 4;
 fn size(spec: &TaskSpec) -> TaskSize {
     match spec {
         TaskSpec::Work(WorkSpec {
-            work: Work::Trace(_) | Work::Volume(_) | Work::Points(_) | Work::Read(_) | Work::Resample(_),
+            work:
+                Work::Trace(_) | Work::Volume(_) | Work::Points(_) | Work::Regions(_) | Work::Read(_) | Work::Resample(_),
             ..
         }) => TaskSize::Small,
         TaskSpec::Work(WorkSpec { work: Work::Solve(_), inputs, .. }) if inputs.len() <= PIECES_OF_SMALL_SOLVE => {
             TaskSize::Small
         }
-        TaskSpec::Work(WorkSpec { work: Work::Solve(_) | Work::Fit(_), .. }) => TaskSize::Large,
+        TaskSpec::Work(WorkSpec { work: Work::Solve(_) | Work::Fit(_) | Work::Model(_), .. }) => TaskSize::Large,
         TaskSpec::Import { .. } | TaskSpec::Plan(_) | TaskSpec::Export(_) => TaskSize::Large,
     }
 }

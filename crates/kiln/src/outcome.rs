@@ -32,11 +32,22 @@ impl Outcome {
         Ok(Self { bake, baked })
     }
 
-    /// Downloads the baked file and puts it in its place whole or not at all.
-    pub(crate) async fn save(&self, farm: &Farm, path: &Path) -> Result<Output, Failure> {
-        let bytes = farm.download(self.baked.file).await.map_err(client_failure)?;
-        write_whole(path, &bytes)?;
-        Ok(Output { path: path.display().to_string(), digest: self.baked.file, bytes: bytes.len() as u64 })
+    /// Downloads the baked file, and the pack if there is one or it is asked for, beside the file where no place is given.
+    pub(crate) async fn save(&self, farm: &Farm, path: &Path, pack: Option<&Path>) -> Result<Vec<Output>, Failure> {
+        let mut outputs = vec![save(farm, self.baked.file, path).await?];
+        let beside = self.baked.pack.as_ref().map(|_| path.with_extension("kiln"));
+        if let Some(pack) = pack.or(beside.as_deref()) {
+            outputs.push(self.save_pack(farm, pack).await?);
+        }
+        Ok(outputs)
+    }
+
+    /// Downloads the pack.
+    pub(crate) async fn save_pack(&self, farm: &Farm, path: &Path) -> Result<Output, Failure> {
+        let Some(pack) = &self.baked.pack else {
+            return Err(Failure::new(FAILED, "the bake made no pack; submit it with --pack"));
+        };
+        save(farm, pack.digest, path).await
     }
 
     /// The report as JSON.
@@ -62,6 +73,7 @@ impl Outcome {
             rays_traced: self.bake.stages.iter().map(|stage| stage.rays_traced).sum(),
             answered_from_store: self.bake.result.as_ref().is_some_and(|r| r.answered_from_store),
             outputs,
+            pack: self.baked.pack.as_ref(),
         };
         report(&self.baked.summary, &run)
     }
@@ -136,6 +148,13 @@ impl Outcome {
             );
         }
     }
+}
+
+/// Downloads a file and puts it in its place whole or not at all.
+async fn save(farm: &Farm, digest: Digest, path: &Path) -> Result<Output, Failure> {
+    let bytes = farm.download(digest).await.map_err(client_failure)?;
+    write_whole(path, &bytes)?;
+    Ok(Output { path: path.display().to_string(), digest, bytes: bytes.len() as u64 })
 }
 
 /// Writes to a file beside the path first, so that a crash leaves the old file or the new one.

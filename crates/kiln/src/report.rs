@@ -5,7 +5,7 @@ mod skips;
 
 pub(crate) use coarse::coarse_total;
 
-use kiln_core::{BakeSettings, BakeSummary, ComponentMethod, Digest, ErrorEstimate, MeshSummary, Warning};
+use kiln_core::{BakeSettings, BakeSummary, ComponentMethod, Digest, ErrorEstimate, MeshSummary, PackFile, Warning};
 use kiln_worker::tasks::BvhCounts;
 use serde::Serialize;
 use serde_json::{Value, json};
@@ -63,6 +63,7 @@ pub(crate) struct Run<'a> {
     /// The whole answer was known from an earlier bake.
     pub(crate) answered_from_store: bool,
     pub(crate) outputs: &'a [Output],
+    pub(crate) pack: Option<&'a PackFile>,
 }
 
 /// The whole report.
@@ -94,6 +95,8 @@ pub(crate) fn report(summary: &BakeSummary, run: &Run<'_>) -> Value {
         "too_coarse": coarse::of_level(summary),
         "foliage": summary.foliage,
         "lods": summary.lods,
+        "regions": summary.regions,
+        "pack": run.pack.map(|pack| json!({ "bytes": pack.bytes, "by_kind": by_kind(pack) })),
         "solve": solves(summary),
         "meshes": meshes(summary),
         "cache": {
@@ -103,6 +106,11 @@ pub(crate) fn report(summary: &BakeSummary, run: &Run<'_>) -> Value {
         "warnings": summary.warnings,
         "outputs": run.outputs.iter().map(|o| json!({ "path": o.path, "digest": o.digest.to_string(), "bytes": o.bytes })).collect::<Vec<_>>(),
     })
+}
+
+/// Bytes of a pack by what they are.
+fn by_kind(pack: &PackFile) -> Value {
+    pack.sizes.iter().map(|(kind, bytes)| (kind.clone(), json!(bytes))).collect::<serde_json::Map<_, _>>().into()
 }
 
 /// Estimated error, one number for each half-distance.

@@ -94,14 +94,14 @@ impl Quality {
 #[serde(rename_all = "lowercase")]
 enum Trees {
     #[default]
-    Points,
+    Traced,
     Volume,
 }
 
 impl Trees {
     fn name(self) -> &'static str {
         match self {
-            Self::Points => "points",
+            Self::Traced => "traced",
             Self::Volume => "volume",
         }
     }
@@ -148,7 +148,7 @@ pub fn run(args: &Args, backend: &Backend) -> Result<(), BenchError> {
     let kiln = Kiln::this(scratch.path(), backend)?;
     let mut levels = Vec::new();
     let (quality, trees) = (args.quality.name(), args.trees.name());
-    let head = format!("{}; quality {quality}, trees by {trees}", provenance.sentence());
+    let head = format!("{}; quality {quality}, trees {trees}", provenance.sentence());
     println!("{head}");
     for (path, made_of) in args.scenes(scratch.path())? {
         let level = args.measure(&path, made_of, &kiln)?;

@@ -344,7 +344,9 @@ impl Dispatcher {
             Phase::Ended(Ended { outcome: Outcome::Succeeded(success), .. }) => Some(success),
             _ => None,
         });
-        live.extend(succeeded.take(PINNED_RESULTS).flat_map(|success| [success.digest, success.baked.file]));
+        let named =
+            |success: &Success| std::iter::once(success.digest).chain(success.baked.files()).collect::<Vec<_>>();
+        live.extend(succeeded.take(PINNED_RESULTS).flat_map(|success| named(success)));
         self.keeper.send(Op::Collect { live, max_bytes });
     }
 }

@@ -100,9 +100,10 @@ pub(crate) fn baked() -> Baked {
         meshes: Vec::new(),
         foliage: kiln_core::FoliageSummary::default(),
         lods: kiln_core::LodSummary::default(),
+        regions: None,
         warnings: Vec::new(),
     };
-    Baked { file: Digest::of(b"glb"), bytes: 3, summary }
+    Baked { file: Digest::of(b"glb"), bytes: 3, pack: None, summary }
 }
 
 #[test]

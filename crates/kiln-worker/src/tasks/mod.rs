@@ -13,6 +13,7 @@ mod outputs;
 mod plan;
 mod points;
 mod read;
+mod regions;
 mod resample;
 mod solve;
 mod trace;
@@ -66,8 +67,9 @@ impl BakeExecutor {
                 Work::Trace(piece) => trace::run(piece, &level, tracer, backend.lane_of(&tracer.0)),
                 Work::Volume(bricks) => volume::run(bricks, &level, tracer),
                 Work::Points(points) => points::run(points, &level, tracer),
+                Work::Regions(run) => regions::trace(run, &level, tracer),
                 Work::Read(run) => read::run(run, &spec.inputs, &level, tracer, artefacts),
-                Work::Solve(_) | Work::Fit(_) | Work::Resample(_) => {
+                Work::Solve(_) | Work::Fit(_) | Work::Model(_) | Work::Resample(_) => {
                     Err(TaskError::Failed { reason: "it does not trace".to_owned() })
                 }
             }
@@ -101,7 +103,10 @@ impl Executor for BakeExecutor {
                 Ok(output)
             }
             TaskSpec::Work(
-                spec @ WorkSpec { work: Work::Trace(_) | Work::Volume(_) | Work::Points(_) | Work::Read(_), .. },
+                spec @ WorkSpec {
+                    work: Work::Trace(_) | Work::Volume(_) | Work::Points(_) | Work::Regions(_) | Work::Read(_),
+                    ..
+                },
             ) => {
                 let output = self.trace(spec, lane, artefacts)?;
                 progress(output.rays);
@@ -112,6 +117,9 @@ impl Executor for BakeExecutor {
             }
             TaskSpec::Work(WorkSpec { level, work: Work::Fit(model), inputs }) => {
                 fit::run(model, inputs, &*self.levels.get(*level, artefacts)?, artefacts)
+            }
+            TaskSpec::Work(WorkSpec { level, work: Work::Model(work), inputs }) => {
+                regions::model(work, inputs, &*self.levels.get(*level, artefacts)?, artefacts)
             }
             TaskSpec::Export(spec) => export::run(spec, &*self.levels.get(spec.level, artefacts)?, artefacts),
         }

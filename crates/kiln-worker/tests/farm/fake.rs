@@ -276,8 +276,9 @@ fn export(spec: &ExportSpec, artefacts: &dyn Artefacts) -> Result<TaskOutput, Ta
         meshes: Vec::new(),
         foliage: kiln_core::FoliageSummary::default(),
         lods: kiln_core::LodSummary::default(),
+        regions: None,
         warnings: level.warnings,
     };
-    let baked = Baked { file: Digest::of(&file), bytes: file.len() as u64, summary };
+    let baked = Baked { file: Digest::of(&file), bytes: file.len() as u64, pack: None, summary };
     Ok(TaskOutput { result: codec::encode(&baked), attachments: vec![file], rays: 0 })
 }

@@ -28,6 +28,9 @@ pub(crate) struct BakeArgs {
     /// Write a picture of the AO
     #[arg(long, value_name = "P.png")]
     pub(crate) preview: Option<PathBuf>,
+    /// Write the pack that an engine loads [default: beside the output, if the level has visibility regions]
+    #[arg(long, value_name = "P.kiln")]
+    pub(crate) pack: Option<PathBuf>,
     /// For CI: no progress, quality gates from the sidecar
     #[arg(long)]
     pub(crate) ci: bool,
@@ -317,6 +320,7 @@ impl SettingsArgs {
                 blend: self.blend.clone(),
                 remap: self.remap.clone(),
                 residual: self.residual,
+                pack: false,
             },
         })
     }

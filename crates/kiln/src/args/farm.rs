@@ -76,6 +76,9 @@ pub(crate) struct SubmitArgs {
     /// With --wait: fetch the result to this file
     #[arg(short, long, value_name = "OUT.glb", requires = "wait")]
     pub(crate) output: Option<PathBuf>,
+    /// Make a pack, which an engine loads; with --wait, fetch it to this file
+    #[arg(long, value_name = "P.kiln")]
+    pub(crate) pack: Option<PathBuf>,
     /// With --wait: write what was done and how well, as JSON
     #[arg(long, value_name = "R.json", requires = "wait")]
     pub(crate) report: Option<PathBuf>,
@@ -98,6 +101,9 @@ pub(crate) struct FetchArgs {
     /// Where to write the baked .glb
     #[arg(short, long, value_name = "OUT.glb")]
     pub(crate) output: PathBuf,
+    /// Where to write the pack, if the bake made one [default: beside the output]
+    #[arg(long, value_name = "P.kiln")]
+    pub(crate) pack: Option<PathBuf>,
     /// Write what was done and how well, as JSON
     #[arg(long, value_name = "R.json")]
     pub(crate) report: Option<PathBuf>,

@@ -32,7 +32,8 @@ pub(crate) fn run(args: &BakeArgs, common: &Common) -> Result<(), Failure> {
 }
 
 async fn bake(args: &BakeArgs, common: &Common, started: Instant) -> Result<(), Failure> {
-    let settings = args.settings.resolve()?;
+    let mut settings = args.settings.resolve()?;
+    settings.output.pack = args.pack.is_some();
     let source = Source::read(&args.level, args.settings.sidecar.as_deref())?;
     let gates = match source.sidecar().filter(|_| args.ci) {
         Some(text) => Sidecar::parse(text).map_err(Failure::refused)?.gates,
@@ -120,7 +121,7 @@ async fn finish(
     settings: &BakeSettings,
     started: Instant,
 ) -> Result<(Outcome, f64), Failure> {
-    let mut outputs = vec![outcome.save(&local.farm, &args.output).await?];
+    let mut outputs = outcome.save(&local.farm, &args.output, args.pack.as_deref()).await?;
     if let Some(path) = &args.preview {
         super::view::preview(&args.output, path)?;
         let bytes = std::fs::read(path).map_err(anyhow::Error::from)?;

@@ -20,7 +20,8 @@ pub(crate) fn run(args: &SubmitArgs, common: &Common) -> Result<(), Failure> {
 #[expect(clippy::print_stdout, reason = "this is the command's output")]
 async fn submit(args: &SubmitArgs, common: &Common) -> Result<(), Failure> {
     let started = Instant::now();
-    let settings = args.settings.resolve()?;
+    let mut settings = args.settings.resolve()?;
+    settings.output.pack = args.pack.is_some();
     let source = Source::read(&args.level, args.settings.sidecar.as_deref())?;
     let name = source.name().to_owned();
     let (manifest, files) = source.submission(settings.clone());
@@ -48,8 +49,12 @@ async fn submit(args: &SubmitArgs, common: &Common) -> Result<(), Failure> {
         return Ok(());
     }
     let ended = super::watch::follow(&farm, &bake.bake_id, common).await?;
-    let (output, report) = (args.output.as_deref(), args.report.as_deref());
-    super::fetch::finish(&farm, ended, output, report, &settings, started, common).await
+    let files = super::fetch::Files {
+        output: args.output.as_deref(),
+        pack: args.pack.as_deref(),
+        report: args.report.as_deref(),
+    };
+    super::fetch::finish(&farm, ended, files, &settings, started, common).await
 }
 
 /// An id that no other process on any machine has chosen: time, process and a hash seed of the system's.

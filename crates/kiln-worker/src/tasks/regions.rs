@@ -1,0 +1,58 @@
+//! Regions: what can be seen from the valid points of some visibility regions, and the models of all.
+
+use super::{LoadedLevel, SceneTracer, counted::Counted, out_of_range};
+use crate::{Artefacts, TaskError, TaskOutput};
+use bytes::Bytes;
+use kiln_bake::{RegionGather, gather_regions};
+use kiln_core::{Digest, Level, ModelWork, RegionSamples, RegionsWork, codec};
+use rayon::prelude::*;
+
+/// Traces some regions.
+pub(super) fn trace(
+    work: &RegionsWork,
+    level: &LoadedLevel,
+    (_, tracer): &SceneTracer,
+) -> Result<TaskOutput, TaskError> {
+    let end = work.first.saturating_add(work.count);
+    let regions = level.level.regions.regions.get(work.first as usize..end as usize);
+    let regions = regions.ok_or_else(|| out_of_range("region", end))?;
+    let settings = gather_settings(&level.level);
+    let samples = gather_regions(&Counted(&**tracer), regions, &settings).map_err(|error| TaskError::from(&error))?;
+    Ok(TaskOutput { rays: samples.rays, result: codec::encode(&samples), attachments: Vec::new() })
+}
+
+/// How points of a level's regions are traced.
+pub(super) fn gather_settings(level: &Level) -> RegionGather {
+    RegionGather {
+        kernel: kiln_trace::KernelRates::of(&level.sampling),
+        rays_per_point: level.regions.settings.rays_per_point,
+        back_face_limit: level.sampling.back_face_limit,
+        seed: level.sampling.seed,
+    }
+}
+
+/// Finds the models of all regions; `inputs` are their samples, in their order.
+pub(super) fn model(
+    work: &ModelWork,
+    inputs: &[Digest],
+    level: &LoadedLevel,
+    artefacts: &dyn Artefacts,
+) -> Result<TaskOutput, TaskError> {
+    let regions = &level.level.regions;
+    if regions.regions.len() != work.region_count as usize {
+        return Err(out_of_range("region", work.region_count));
+    }
+    let decode = |bytes: &Bytes| codec::decode::<RegionSamples>("samples of regions", bytes);
+    let runs: Vec<RegionSamples> =
+        artefacts.get_many(inputs)?.par_iter().map(decode).collect::<Result<_, codec::DecodeError>>()?;
+    let samples = RegionSamples {
+        channels: level.level.sampling.kernel.channel_count() as u32,
+        valid: runs.iter().flat_map(|run| run.valid.iter().copied()).collect(),
+        dropped: runs.iter().flat_map(|run| run.dropped.iter().copied()).collect(),
+        rays: runs.iter().map(|run| run.rays).sum(),
+        values: runs.into_iter().flat_map(|run| run.values).collect(),
+    };
+    let models = kiln_solve::model_regions(regions, &samples)
+        .map_err(|error| TaskError::Failed { reason: format!("the models of visibility regions: {error}") })?;
+    Ok(TaskOutput { result: codec::encode(&models), attachments: Vec::new(), rays: 0 })
+}
