@@ -247,6 +247,7 @@ pub(crate) mod tests {
             bounds: Bounds { min: DVec3::ZERO, max: DVec3::ONE },
             meshes: vec![mesh("wall", 2500), mesh("crate", 12)],
             instances: vec![instance(0, 0.0), instance(1, 1.0), instance(1, 2.0)],
+            regions: kiln_core::Regions::default(),
             sampling: Sampling {
                 target: None,
                 kernel: Kernel::Obscurance { half_distances_m: vec![2.0, 300.0] },
