@@ -56,8 +56,8 @@ impl TaskKind {
             Self::Points | Self::Regions | Self::Model | Self::Read | Self::Resample => 1,
             Self::Volume | Self::Fit => 2,
             Self::Solve => 4,
-            Self::Import => 6,
             Self::Plan | Self::Export => 6,
+            Self::Import => 7,
             Self::Trace => 8,
         }
     }

@@ -1,6 +1,6 @@
 //! An imported level: a manifest of mesh digests, the instance table and the resolved settings.
 
-use crate::{Bounds, Class, Digest, Fog, OutputSettings, Sampling, SolveSettings};
+use crate::{Bounds, Class, Digest, Fog, OutputSettings, Regions, Sampling, SolveSettings};
 use glam::{DAffine3, DVec3};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -17,6 +17,8 @@ pub struct Level {
     pub meshes: Vec<MeshEntry>,
     /// The instance table, in the order of the node hierarchy.
     pub instances: Vec<Instance>,
+    /// Where moving objects are lit.
+    pub regions: Regions,
     /// How samples are made and traced.
     pub sampling: Sampling,
     /// How vertex values are found.

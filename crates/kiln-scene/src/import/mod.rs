@@ -22,7 +22,7 @@ use crate::{
 use glam::{DAffine3, DVec3, Vec3};
 use kiln_core::{
     Attribute, BakeSettings, Bounds, Class, Digest, Gets, Instance, Level, LevelCounts, Mesh, MeshEntry,
-    OutputSettings, ValueFormat, codec,
+    OutputSettings, Regions, ValueFormat, codec,
 };
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use std::collections::{BTreeMap, BTreeSet};
@@ -89,9 +89,26 @@ pub fn import(
     let bounds = Bounds { min: world.min - origin_m, max: world.max - origin_m };
     check_extent(level_name, &bounds)?;
     let resolved = resolve(settings, &sidecar, &bounds, faces(&gathered, &cast), &mut findings)?;
-    let import = assemble(gathered, cast, origin_m, bounds, resolved, findings);
+    let regions = relative(sidecar.regions, origin_m);
+    let import = assemble(gathered, cast, World { origin_m, bounds, regions }, resolved, findings);
     check_output_size(level_name, level_bytes.len(), &import.level)?;
     Ok(import)
+}
+
+/// Where a level is, and the regions in it, relative to the origin.
+struct World {
+    origin_m: DVec3,
+    bounds: Bounds,
+    regions: Regions,
+}
+
+/// Regions in world space, relative to the level's origin.
+fn relative(mut regions: Regions, origin_m: DVec3) -> Regions {
+    for region in &mut regions.regions {
+        region.bounds = Bounds { min: region.bounds.min - origin_m, max: region.bounds.max - origin_m };
+    }
+    regions.edges.iter_mut().for_each(|edge| edge.center -= origin_m);
+    regions
 }
 
 /// A `--only` that matches nothing is a slip of the pen.
@@ -220,14 +237,8 @@ fn report(gathered: &Gathered<'_>, cast: &[Cast], findings: &mut Findings) {
 }
 
 /// Puts the parts together. Meshes that have no faces left are left out, with their instances.
-fn assemble(
-    gathered: Gathered<'_>,
-    cast: Vec<Cast>,
-    origin_m: DVec3,
-    bounds: Bounds,
-    resolved: Resolved,
-    findings: Findings,
-) -> Import {
+fn assemble(gathered: Gathered<'_>, cast: Vec<Cast>, world: World, resolved: Resolved, findings: Findings) -> Import {
+    let World { origin_m, bounds, regions } = world;
     let mut counts = LevelCounts::default();
     let mut index_of = vec![None; cast.len()];
     let (mut entries, mut meshes) = (Vec::new(), Vec::new());
@@ -273,6 +284,7 @@ fn assemble(
         bounds,
         meshes: entries,
         instances,
+        regions,
         sampling: resolved.sampling,
         solve: resolved.solve,
         output: resolved.output,

@@ -46,7 +46,7 @@ fn golden_import() {
     let import = rich().import().unwrap();
     let digest = Digest::of(&codec::encode(&import.level));
     assert_eq!(import.level.instances.len(), 3);
-    assert_eq!(digest.to_string(), "a8dbc17b951cdcf22567b086210079d368c63e50fe76595c51074a309a24537a");
+    assert_eq!(digest.to_string(), "b7a9087939f28f788a8cf74c0c7f420953a537d16e0e6806ac1aa3e9999eb538");
 }
 
 proptest! {

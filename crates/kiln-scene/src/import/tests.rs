@@ -95,6 +95,20 @@ fn a_rotation_is_made_unit() {
 }
 
 #[test]
+fn regions_are_relative_to_the_origin() {
+    let mut fixture = Fixture::square();
+    fixture.json["nodes"][0]["translation"] = json!([4e6, 0, 0]);
+    let sidecar = "[[region]]\nid = 'a'\nmin_m = [4e6, 0, 0]\nmax_m = [4000002.0, 3, 2]\n\
+                   [[region]]\nid = 'b'\nmin_m = [4000002.0, 0, 0]\nmax_m = [4000003.0, 2, 2]\n";
+    let level = fixture.import_with(&BakeSettings::default(), sidecar).unwrap().level;
+    assert!(level.origin_m.x > 3.9e6);
+    let place = |point: DVec3| point + level.origin_m;
+    assert_eq!(place(level.regions.regions[1].bounds.max), DVec3::new(4_000_003.0, 2.0, 2.0));
+    assert_eq!(place(level.regions.edges[0].center), DVec3::new(4_000_002.0, 1.0, 1.0));
+    assert_eq!(level.regions.edges[0].area_m2, 4.0);
+}
+
+#[test]
 fn far_levels_are_moved_to_the_middle() {
     let mut fixture = Fixture::square();
     fixture.json["nodes"][0]["translation"] = json!([4_000_000.25, 1000.0, -3_000_000.0]);

@@ -17,6 +17,20 @@
 //! node = "*_lod0"                   # name of the full-detail node; at most one `*`
 //! levels = ["*_lod1", "*_lod2"]     # `*` stands for what it stands for in `node`
 //!
+//! [[region]]                        # a box in which moving objects are lit by one model
+//! id = "hall"
+//! min_m = [0.0, 0.0, 0.0]           # world space, metres
+//! max_m = [8.0, 4.0, 12.0]
+//! # valid = "base64…"               # 512 bits; found if absent
+//!
+//! [[edge]]                          # where regions meet; derived if there is none
+//! regions = ["hall", "door"]
+//! area_m2 = 3.2                     # both derived from the boxes if absent
+//! center_m = [8.0, 1.0, 3.0]
+//!
+//! [region_models]                   # how their models are found
+//! smoothing = 1.0
+//!
 //! [gates]                           # a bake that misses one ends with exit code 4
 //! max_rmse = 0.006
 //! max_invalid_fraction = 0.05
@@ -25,25 +39,26 @@
 //!
 //! It is read strictly: a key that Kiln doesn't know is an error that names the nearest one it knows.
 
+mod boundary;
+mod regions;
 mod table;
 
 use crate::{SceneError, classes::parse_class};
 use globset::{Glob, GlobMatcher};
-use kiln_core::{Class, MAX_CHANNELS};
+use kiln_core::{Class, MAX_CHANNELS, Regions};
 use table::{Entry, Table};
 
 /// Channels of a bake whose half-distances are found from the level's size.
 const AUTOMATIC_CHANNELS: usize = 2;
 
-const KEYS: [&str; 5] = ["half_distances_m", "blend", "class", "lod", "gates"];
+const KEYS: [&str; 8] = ["half_distances_m", "blend", "class", "lod", "region", "edge", "region_models", "gates"];
 const CLASS_KEYS: [&str; 7] =
     ["match", "class", "transmittance_per_crossing", "density_per_m", "max_samples_per_face", "occludes", "receives"];
 const LOD_KEYS: [&str; 2] = ["node", "levels"];
 const GATE_KEYS: [&str; 3] = ["max_rmse", "max_invalid_fraction", "max_bake_secs"];
 
 /// Keys of features that nothing computes yet.
-const LATER: [&str; 10] =
-    ["region", "regions", "edge", "edges", "field", "fields", "decal", "decals", "texture", "textures"];
+const LATER: [&str; 6] = ["field", "fields", "decal", "decals", "texture", "textures"];
 
 /// A sidecar's text and the name it goes by in messages.
 #[derive(Clone, Copy, Debug)]
@@ -65,6 +80,8 @@ pub struct Sidecar {
     pub classes: Vec<ClassRule>,
     /// Links to lower levels of detail, in order.
     pub lods: Vec<LodRule>,
+    /// Visibility regions. Unlike a level's, they are in world space: metres as in the glTF.
+    pub regions: Regions,
     /// Quality gates.
     pub gates: Gates,
 }
@@ -143,7 +160,8 @@ impl Sidecar {
         let lods =
             root.get("lod").map_or(Ok(Vec::new()), |entry| entry.tables("[[lod]]")?.iter().map(lod_rule).collect())?;
         let gates = root.get("gates").map_or(Ok(Gates::default()), |entry| gates(&entry.table("[gates]")?))?;
-        Ok(Self { half_distances_m, blend, classes, lods, gates })
+        let regions = regions::regions(&root)?;
+        Ok(Self { half_distances_m, blend, classes, lods, regions, gates })
     }
 }
 
@@ -272,7 +290,10 @@ mod tests {
 
     #[test]
     fn later_features_are_refused_by_name() {
-        for key in ["regions", "edges", "fields", "decals", "textures"] {
+        for (key, known) in [("regions", "region"), ("edges", "edge")] {
+            assert!(refusal(&format!("[[{key}]]\nname = 'a'\n")).contains(&format!("did you mean {known}?")));
+        }
+        for key in ["fields", "decals", "textures"] {
             let message = refusal(&format!("[[{key}]]\nname = 'a'\n"));
             assert!(message.contains(key) && message.contains("not supported yet"), "{message}");
         }

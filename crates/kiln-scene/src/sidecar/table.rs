@@ -2,6 +2,7 @@
 
 use super::{SidecarText, nearest};
 use crate::SceneError;
+use glam::DVec3;
 use toml::{
     Spanned,
     de::{DeTable, DeValue},
@@ -106,6 +107,30 @@ impl<'t> Entry<'t> {
         samples
             .map(|samples| samples.next_multiple_of(2))
             .ok_or_else(|| self.error(format!("{} is not a number of samples", self.key), advice))
+    }
+
+    /// A whole number in a range, its ends included.
+    pub(super) fn whole_within(&self, least: u32, most: u32) -> Result<u32, SceneError> {
+        let whole = self.value.get_ref().as_integer();
+        let whole = whole.and_then(|integer| u32::from_str_radix(integer.as_str(), integer.radix()).ok());
+        whole.filter(|whole| (least..=most).contains(whole)).ok_or_else(|| {
+            let advice = format!("give a whole number from {least} to {most}");
+            self.error(format!("{} is not such a number", self.key), &advice)
+        })
+    }
+
+    /// A point, or another three finite numbers no farther from 0 than `most`.
+    pub(super) fn point(&self, most: f64) -> Result<DVec3, SceneError> {
+        let numbers = self.numbers()?;
+        let &[x, y, z] = numbers.as_slice() else {
+            return Err(self.error(format!("{} has {} numbers", self.key, numbers.len()), "give three numbers, metres"));
+        };
+        // Not for NaN either.
+        if [x, y, z].iter().all(|number| number.abs() <= most) {
+            return Ok(DVec3::new(x, y, z));
+        }
+        let advice = format!("give finite metres, from -{most} to {most}");
+        Err(self.error(format!("{} is [{x}, {y}, {z}]", self.key), &advice))
     }
 
     pub(super) fn numbers(&self) -> Result<Vec<f64>, SceneError> {

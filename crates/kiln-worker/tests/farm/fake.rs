@@ -163,6 +163,7 @@ fn import(source: Digest, artefacts: &dyn Artefacts) -> Result<TaskOutput, TaskE
         bounds: Bounds::EMPTY,
         meshes: vec![entry],
         instances: Vec::new(),
+        regions: kiln_core::Regions::default(),
         sampling: sampling(source.settings.seed),
         solve: SolveSettings::default(),
         output: source.settings.output,
