@@ -37,7 +37,7 @@ impl Planner<'_> {
         for region in &regions.regions[run.clone()] {
             family.value(&region.bounds).value(&region.valid);
         }
-        family.integer(u64::from(rays)).value(&s.kernel).float(s.back_face_limit).integer(s.seed);
+        family.integer(u64::from(rays)).value(&s.kernel).float(regions.settings.back_face_limit).integer(s.seed);
         family.value(&s.foliage).value(&s.no_skip);
         let surroundings = Some(self.surroundings_of(reach.group_of_region(run.start), run.start)?);
         let cost = regions.regions[run.clone()].iter().map(|region| points(region) * u64::from(rays)).sum();
@@ -140,7 +140,7 @@ mod tests {
         assert_eq!(change(|level| level.regions.regions[0].id = "other".into()), [true, true, true]);
         assert_eq!(change(|level| level.regions.regions[0].bounds.max.x += 0.1), [false, true, false]);
         assert_eq!(change(|level| level.regions.settings.smoothing = 2.0), [true, true, false]);
-        assert_eq!(change(|level| level.regions.settings.rays_per_point = 64), [false, false, false]);
+        assert_eq!(change(|level| level.regions.settings.rays_per_point = 2048), [false, false, false]);
         assert_eq!(change(|level| level.sampling.seed = 9), [false, false, true]);
         assert_eq!(change(|level| level.instances[0].world_from_object.translation.x += 1e-9), [false, false, true]);
         let edge = RegionEdge { regions: [0, 1], area_m2: 1.0, center: DVec3::X };

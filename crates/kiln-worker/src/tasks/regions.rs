@@ -26,7 +26,7 @@ pub(super) fn gather_settings(level: &Level) -> RegionGather {
     RegionGather {
         kernel: kiln_trace::KernelRates::of(&level.sampling),
         rays_per_point: level.regions.settings.rays_per_point,
-        back_face_limit: level.sampling.back_face_limit,
+        back_face_limit: level.regions.settings.back_face_limit,
         seed: level.sampling.seed,
     }
 }
