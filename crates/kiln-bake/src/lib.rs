@@ -25,7 +25,7 @@ pub use foliage::{ModelDensity, ModelFog, OrientedBox, model_fog, place_fog, thi
 pub use model::{ModelPoint, model_points, values_in_volume, values_traced};
 pub use piece::{Piece, trace_piece};
 pub use probe::{ProbePoint, ProbeResult, probe};
-pub use region::{RegionGather, gather_regions};
+pub use region::{RegionGather, gather_points, gather_regions};
 pub use resample::{
     BakedError, BakedInstance, BakedPoint, BakedSurface, Decorator, DecoratorScalar, DecoratorSettings, VertexReadings,
     lod_sampling, read_at_vertices, read_decorators, resample_lod,

@@ -11,6 +11,7 @@ pub mod lods;
 mod memory;
 mod provenance;
 pub mod rays;
+pub mod regions;
 mod scratch;
 pub mod solve;
 mod spread;
@@ -35,6 +36,8 @@ pub enum Bench {
     Lods(lods::Args),
     /// Rays per second, time and memory of building BVHs, beside another tracer and ray by ray
     Rays(rays::Args),
+    /// Models of visibility regions against direct trace, jumps between them, and what a query costs
+    Regions(regions::Args),
     /// The linear solver beside CHOLMOD and Eigen, and its stress suite
     Solve(solve::Args),
     /// Trees by four numbers and their model's own AO, in several surroundings, against direct trace
@@ -50,6 +53,7 @@ impl Bench {
             Self::Rays(args) => rays::run(args, backend),
             Self::Foliage(args) => foliage::run(args),
             Self::Lods(args) => lods::run(args),
+            Self::Regions(args) => regions::run(args),
             Self::Solve(args) => solve::run(args),
             Self::Trees(args) => trees::run(args),
         }

@@ -116,6 +116,31 @@ pub struct Regions {
     pub settings: RegionSettings,
 }
 
+impl Regions {
+    /// Keeps some regions, and the edges between them.
+    pub fn retain(&mut self, keep: impl Fn(&Region) -> bool) {
+        let mut kept = 0;
+        let new_index: Vec<Option<u32>> = self
+            .regions
+            .iter()
+            .map(|region| {
+                keep(region).then(|| {
+                    kept += 1;
+                    kept - 1
+                })
+            })
+            .collect();
+        let mut index = new_index.iter();
+        self.regions.retain(|_| index.next().is_some_and(Option::is_some));
+        self.edges.retain_mut(|edge| {
+            let ends = edge.regions.map(|end| new_index.get(end as usize).copied().flatten());
+            let [Some(a), Some(b)] = ends else { return false };
+            edge.regions = [a, b];
+            true
+        });
+    }
+}
+
 /// What valid points of some regions see.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RegionSamples {
@@ -136,6 +161,17 @@ pub struct RegionSamples {
 const MOST_COEFFICIENT: f32 = 8.0;
 
 impl RegionSamples {
+    /// Samples of runs of regions as those of all of them, in order.
+    pub fn joined(channels: usize, runs: Vec<Self>) -> Self {
+        Self {
+            channels: channels as u32,
+            valid: runs.iter().flat_map(|run| run.valid.iter().copied()).collect(),
+            dropped: runs.iter().flat_map(|run| run.dropped.iter().copied()).collect(),
+            rays: runs.iter().map(|run| run.rays).sum(),
+            values: runs.into_iter().flat_map(|run| run.values).collect(),
+        }
+    }
+
     /// Checks samples that are said to be of so many regions and channels.
     pub fn check(&self, regions: usize, channels: usize) -> Result<(), ResultError> {
         check_size("channels", self.channels as usize, channels)?;
@@ -286,6 +322,20 @@ mod tests {
         assert_eq!(bits.iter().collect::<Vec<_>>(), [0, 63, 64, 511]);
         assert_eq!((bits.count(), CandidateBits::ALL.count()), (4, CANDIDATES));
         assert_eq!(bits.0, [1 | 1 << 63, 1, 0, 0, 0, 0, 0, 1 << 63]);
+    }
+
+    #[test]
+    fn regions_that_are_kept_keep_their_edges() {
+        let named = |id: &str| Region { id: id.into(), ..region() };
+        let edge = |regions| RegionEdge { regions, area_m2: 1.0, center: DVec3::ZERO };
+        let mut regions = Regions {
+            regions: ["hall", "door", "room", "hut"].map(named).into(),
+            edges: vec![edge([0, 1]), edge([0, 3]), edge([1, 2])],
+            ..Regions::default()
+        };
+        regions.retain(|region| region.id.starts_with('h'));
+        assert_eq!(regions.regions.iter().map(|region| &*region.id).collect::<Vec<_>>(), ["hall", "hut"]);
+        assert_eq!(regions.edges, [edge([0, 1])]);
     }
 
     #[test]

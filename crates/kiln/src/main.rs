@@ -5,6 +5,7 @@ mod commands;
 mod data_folder;
 mod difference;
 mod failure;
+mod flight;
 mod gates;
 mod half_distances;
 mod local_farm;

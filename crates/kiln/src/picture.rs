@@ -8,4 +8,4 @@ mod render;
 pub(crate) use camera::Camera;
 pub(crate) use png_file::{Image, write_png};
 pub(crate) use ramp::{TICK, TOP};
-pub(crate) use render::{Shading, render};
+pub(crate) use render::{Ball, Shading, Surface, render};

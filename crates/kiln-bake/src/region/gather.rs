@@ -2,6 +2,7 @@
 
 use super::valid::{sphere, valid};
 use crate::volume::COSINE_BANDS;
+use glam::DVec3;
 use kiln_core::{CandidateBits, MAX_CHANNELS, Region, RegionSamples};
 use kiln_trace::{HARMONICS, KernelRates, SpherePoint, SphereSums, TraceError, Tracer};
 
@@ -59,6 +60,20 @@ fn gather(
     samples.dropped.push((candidates.len() - kept.count()) as u32);
     samples.valid.push(kept);
     Ok(())
+}
+
+/// AO as a function of the normal at given points, metres relative to the level's origin, for each channel; none is left
+/// out, whatever it sees.
+pub fn gather_points(
+    tracer: &dyn Tracer,
+    points: &[DVec3],
+    settings: &RegionGather,
+) -> Result<Vec<Vec<[f32; HARMONICS]>>, TraceError> {
+    let spheres: Vec<SpherePoint> = points.iter().map(|point| sphere(*point, settings.seed)).collect();
+    let mut sums = vec![SphereSums::default(); spheres.len()];
+    tracer.gather_sphere(&spheres, &settings.kernel, settings.rays_per_point, &mut sums)?;
+    let channels = settings.kernel.channels.clamp(1, MAX_CHANNELS);
+    Ok(sums.iter().map(|sum| (0..channels).map(|channel| convolved(sum, channel)).collect()).collect())
 }
 
 /// AO as a function of the normal.

@@ -8,4 +8,4 @@
 mod gather;
 mod valid;
 
-pub use gather::{RegionGather, gather_regions};
+pub use gather::{RegionGather, gather_points, gather_regions};

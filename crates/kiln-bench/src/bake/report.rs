@@ -20,6 +20,8 @@ pub(super) struct Report {
     pub(super) foliage: Foliage,
     #[serde(default)]
     pub(super) lods: Lods,
+    #[serde(default)]
+    pub(super) regions: Option<Regions>,
     pub(super) solve: Vec<Solve>,
     pub(super) meshes: Vec<Instance>,
 }
@@ -88,6 +90,14 @@ pub(super) struct Lods {
     pub(super) faces: u64,
     /// Points at which the full detail was read.
     pub(super) samples: u64,
+}
+
+/// What became of visibility regions.
+#[derive(Clone, Debug, Default, Deserialize, Serialize)]
+pub(super) struct Regions {
+    pub(super) regions: u64,
+    /// Valid points.
+    pub(super) points: u64,
 }
 
 /// A model of trees.

@@ -16,11 +16,10 @@ pub(super) enum Kind {
     Samples,
     Solve,
     Foliage,
+    Regions,
     Export,
     Other,
     Total,
-    /// A row of the paper that Kiln does not do.
-    Absent,
 }
 
 /// A row.
@@ -34,9 +33,6 @@ pub(super) struct Row {
     pub(super) wall_secs: Option<f64>,
     pub(super) cpu_secs: Option<f64>,
 }
-
-/// Rows of the paper for which Kiln has no counterpart yet.
-const ABSENT: [(&str, &str); 1] = [("Region for dynamic AO, 332,741 points", "9.2")];
 
 /// The rows of a bake in one process.
 pub(super) fn rows(report: &Report) -> Vec<Row> {
@@ -58,12 +54,12 @@ pub(super) fn rows(report: &Report) -> Vec<Row> {
     let rays = format!("Ray trace samples, {} rays", millions(report.rays.traced));
     let samples = format!("Sample mesh, {} samples: points, moments, rounds", millions(report.samples.total));
     let tracing = |name: &str| report.stage(name).map_or(0.0, |stage| stage.part("tracing").cpu_seconds);
-    let beside = ["volume", "points", "read", "resample"].map(tracing);
+    let beside = ["volume", "points", "regions", "read", "resample"].map(tracing);
     let (of_others, foliage) = (beside.iter().sum::<f64>(), &report.foliage);
     let trees: u64 = foliage.models.iter().map(|model| model.instances).sum();
     let volume = format!("Sparse volume for trees, {} points", millions(foliage.voxels));
     let fits = format!("Fits of {trees} trees, {} models", foliage.models.len());
-    let points = "Trace points on instances".to_owned();
+    let on_instances = "Trace points on instances".to_owned();
     let lods = format!(
         "Resample geometry of levels of detail, {} V, {} F, {} points",
         millions(report.lods.vertices),
@@ -71,7 +67,10 @@ pub(super) fn rows(report: &Report) -> Vec<Row> {
         millions(report.lods.samples)
     );
     let numbers = format!("Read around {} shrubs and decorators", millions(foliage.scalars));
-    let mut rows = vec![
+    let regions = report.regions.clone().unwrap_or_default();
+    let points = format!("Ray trace regions for dynamic AO, {} points", millions(regions.points));
+    let models = format!("Models of {} regions", millions(regions.regions));
+    vec![
         row(Kind::Import, geometry, "2", wall("import"), own("import")),
         row(Kind::Plan, "Plan".to_owned(), "", wall("plan"), own("plan")),
         row(Kind::Load, "Load the level's meshes".to_owned(), "", Some(load.seconds), load.cpu_seconds),
@@ -92,9 +91,11 @@ pub(super) fn rows(report: &Report) -> Vec<Row> {
             own("solve"),
         ),
         row(Kind::Foliage, volume, "0.53", None, own("volume") + tracing("volume")),
-        row(Kind::Foliage, points, "", None, own("points") + tracing("points")),
+        row(Kind::Foliage, on_instances, "", None, own("points") + tracing("points")),
         row(Kind::Foliage, fits, "", None, own("fit")),
         row(Kind::Foliage, numbers, "", None, own("read") + tracing("read")),
+        row(Kind::Regions, points, "9.2 for 332.7 k", None, own("regions") + tracing("regions")),
+        row(Kind::Regions, models, "", None, own("model")),
         row(Kind::Foliage, lods, "5.7", None, own("resample") + tracing("resample")),
         row(Kind::Export, "Export".to_owned(), "", wall("export"), own("export")),
         row(
@@ -104,17 +105,8 @@ pub(super) fn rows(report: &Report) -> Vec<Row> {
             None,
             (report.cpu_seconds - stages).max(0.0),
         ),
-    ];
-    let absent = |(what, paper): (&str, &'static str)| Row {
-        kind: Kind::Absent,
-        what: format!("{what}: not done by Kiln yet"),
-        paper,
-        wall_secs: None,
-        cpu_secs: None,
-    };
-    rows.extend(ABSENT.map(absent));
-    rows.push(row(Kind::Total, "Total".to_owned(), "78", Some(report.seconds), report.cpu_seconds));
-    rows
+        row(Kind::Total, "Total".to_owned(), "78", Some(report.seconds), report.cpu_seconds),
+    ]
 }
 
 /// A count, short.

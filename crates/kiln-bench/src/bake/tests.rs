@@ -105,7 +105,7 @@ fn tables_say_what_was_found() {
         "| BVH build, trees and shrubs too | 2.00 | 4.00 | 4.0 % | 10.5, < 1 |",
         "| Process geometry, 1.50 M V, 1.80 M F | 2.00 | 3.00 | 3.0 % | 2 |",
         "| Total | 50.00 | 99.00 | 100.0 % | 78 |",
-        "Region for dynamic AO, 332,741 points: not done by Kiln yet |  |  |  | 9.2 |",
+        "Ray trace regions for dynamic AO, 0 points |  | 0.00 | 0.0 % | 9.2 for 332.7 k |",
         "- 50.0 s; under 78 s holds",
         "at most 10 % holds (with import, building, export and idling",
         "- threads busy 99.0 %; at least 90 % holds",

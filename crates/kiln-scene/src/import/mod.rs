@@ -69,6 +69,8 @@ pub fn import(
     let lods = Lods::find(&document, &sidecar.lods, &mut findings)?;
     let placements = placements(&document, &lods, &mut findings)?;
     let only = only(settings)?;
+    let mut regions = sidecar.regions.clone();
+    regions.retain(|region| only.as_ref().is_none_or(|only| only.is_match(&region.id)));
     let rules = Rules {
         classes: &sidecar.classes,
         only,
@@ -77,7 +79,7 @@ pub fn import(
         output: &settings.output,
     };
     let gathered = gather(&document, files, &placements, &rules, &mut findings)?;
-    check_only(settings, &gathered)?;
+    check_only(settings, &gathered, &regions)?;
 
     let cast = cast_all(&gathered, settings)?;
     report(&gathered, &cast, &mut findings);
@@ -89,7 +91,7 @@ pub fn import(
     let bounds = Bounds { min: world.min - origin_m, max: world.max - origin_m };
     check_extent(level_name, &bounds)?;
     let resolved = resolve(settings, &sidecar, &bounds, faces(&gathered, &cast), &mut findings)?;
-    let regions = relative(sidecar.regions, origin_m);
+    let regions = relative(regions, origin_m);
     let import = assemble(gathered, cast, World { origin_m, bounds, regions }, resolved, findings);
     check_output_size(level_name, level_bytes.len(), &import.level)?;
     Ok(import)
@@ -112,11 +114,12 @@ fn relative(mut regions: Regions, origin_m: DVec3) -> Regions {
 }
 
 /// A `--only` that matches nothing is a slip of the pen.
-fn check_only(settings: &BakeSettings, gathered: &Gathered<'_>) -> Result<(), SceneError> {
+fn check_only(settings: &BakeSettings, gathered: &Gathered<'_>, regions: &Regions) -> Result<(), SceneError> {
+    let matches_none = regions.regions.is_empty() && !gathered.instances.iter().any(|instance| instance.receives);
     match &settings.only {
-        Some(only) if !gathered.instances.iter().any(|instance| instance.receives) => Err(SceneError::Setting {
+        Some(only) if matches_none => Err(SceneError::Setting {
             setting: "--only",
-            problem: format!("{only:?} matches no node, mesh or material that could be baked"),
+            problem: format!("{only:?} matches no node, mesh, material or region that could be baked"),
         }),
         _ => Ok(()),
     }

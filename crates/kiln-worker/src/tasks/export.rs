@@ -22,6 +22,7 @@ pub(super) fn run(spec: &ExportSpec, level: &LoadedLevel, artefacts: &dyn Artefa
     let outputs = Outputs::load(spec.outputs, artefacts)?;
     let (indices, mut solutions) = load_solutions(&outputs, artefacts)?;
     let foliage = FoliageOutputs::load(&outputs, level, artefacts)?;
+    let regions = outputs.regions(artefacts)?;
     let filled = fill(level, &indices, &mut solutions)?;
 
     let values: Vec<BakedInstance<'_>> = indices
@@ -44,12 +45,14 @@ pub(super) fn run(spec: &ExportSpec, level: &LoadedLevel, artefacts: &dyn Artefa
     };
     let exported = kiln_scene::export(&request).map_err(|error| TaskError::Refused { reason: error.to_string() })?;
     let warnings = [level.level.warnings.clone(), filled, foliage.warnings(level), exported.warnings].concat();
-    let baked = Baked {
-        file: Digest::of(&exported.glb),
-        bytes: exported.glb.len() as u64,
-        summary: summary(level, &indices, &solutions, &foliage, warnings),
-    };
-    Ok(TaskOutput { result: codec::encode(&baked), attachments: vec![exported.glb], rays: 0 })
+    let (pack, packed) = super::pack::pack(level, &values, &foliage, regions.as_ref())?.unzip();
+    let mut summary = summary(level, &indices, &solutions, &foliage, warnings);
+    summary.trace.rays += regions.as_ref().map_or(0, |models| models.summary.rays);
+    summary.regions = regions.map(|models| models.summary);
+    let (file, bytes) = (Digest::of(&exported.glb), exported.glb.len() as u64);
+    let baked = Baked { file, bytes, pack, summary };
+    let attachments = std::iter::once(exported.glb).chain(packed).collect();
+    Ok(TaskOutput { result: codec::encode(&baked), attachments, rays: 0 })
 }
 
 fn load_solutions(outputs: &Outputs, artefacts: &dyn Artefacts) -> Result<(Vec<u32>, Vec<Solution>), TaskError> {
@@ -125,6 +128,7 @@ fn summary(
         meshes: indices.iter().zip(solutions).map(mesh).collect(),
         foliage: foliage.summary(level),
         lods,
+        regions: None,
         warnings,
     }
 }

@@ -10,6 +10,7 @@ mod import;
 mod levels;
 mod masks;
 mod outputs;
+mod pack;
 mod plan;
 mod points;
 mod read;

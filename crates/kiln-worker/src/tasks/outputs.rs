@@ -3,8 +3,8 @@
 use super::{LoadedLevel, out_of_range};
 use crate::{Artefacts, TaskError};
 use kiln_core::{
-    Digest, FoliageSummary, Gets, InstanceNumbers, ModelSummary, NodeErrors, Output, RAYS_PER_VOXEL, TraceSummary,
-    TreeErrors, TreeFits, ValueFormat, Warning, codec,
+    Digest, FoliageSummary, Gets, InstanceNumbers, ModelSummary, NodeErrors, Output, RAYS_PER_VOXEL, RegionModels,
+    TraceSummary, TreeErrors, TreeFits, ValueFormat, Warning, codec,
 };
 use kiln_scene::{BakedModel, NumberedInstance};
 use std::collections::HashMap;
@@ -16,20 +16,29 @@ pub(super) struct Outputs {
     trees: Vec<(u32, Digest)>,
     /// By the first of a run, with their number.
     scalars: Vec<(u32, u32, Digest)>,
+    /// Models of visibility regions.
+    regions: Option<Digest>,
 }
 
 impl Outputs {
     pub(super) fn load(list: Digest, artefacts: &dyn Artefacts) -> Result<Self, TaskError> {
         let list: Vec<(Output, Digest)> = codec::decode("a list of outputs", &artefacts.get(list)?)?;
-        let mut outputs = Self { solutions: Vec::new(), trees: Vec::new(), scalars: Vec::new() };
+        let mut outputs = Self { solutions: Vec::new(), trees: Vec::new(), scalars: Vec::new(), regions: None };
         for (output, digest) in list {
             match output {
                 Output::Solution { instance } => outputs.solutions.push((instance, digest)),
                 Output::Trees { mesh } => outputs.trees.push((mesh, digest)),
                 Output::Scalars { first, count } => outputs.scalars.push((first, count, digest)),
+                Output::Regions => outputs.regions = Some(digest),
             }
         }
         Ok(outputs)
+    }
+
+    /// The models of visibility regions, if the level has any.
+    pub(super) fn regions(&self, artefacts: &dyn Artefacts) -> Result<Option<RegionModels>, TaskError> {
+        let read = |digest| Ok(codec::decode("models of regions", &artefacts.get(digest)?)?);
+        self.regions.map(read).transpose()
     }
 }
 

@@ -45,13 +45,7 @@ pub(super) fn model(
     let decode = |bytes: &Bytes| codec::decode::<RegionSamples>("samples of regions", bytes);
     let runs: Vec<RegionSamples> =
         artefacts.get_many(inputs)?.par_iter().map(decode).collect::<Result<_, codec::DecodeError>>()?;
-    let samples = RegionSamples {
-        channels: level.level.sampling.kernel.channel_count() as u32,
-        valid: runs.iter().flat_map(|run| run.valid.iter().copied()).collect(),
-        dropped: runs.iter().flat_map(|run| run.dropped.iter().copied()).collect(),
-        rays: runs.iter().map(|run| run.rays).sum(),
-        values: runs.into_iter().flat_map(|run| run.values).collect(),
-    };
+    let samples = RegionSamples::joined(level.level.sampling.kernel.channel_count(), runs);
     let models = kiln_solve::model_regions(regions, &samples)
         .map_err(|error| TaskError::Failed { reason: format!("the models of visibility regions: {error}") })?;
     Ok(TaskOutput { result: codec::encode(&models), attachments: Vec::new(), rays: 0 })

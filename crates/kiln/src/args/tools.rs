@@ -75,7 +75,8 @@ pub(crate) enum OverlayChoice {
   kiln view baked.glb -o picture.png
   kiln view baked.glb -o both.png --side-by-side reference.glb
   kiln view baked.glb -o coarse.png --overlay residual
-  kiln view baked.glb -o near.png --camera 4,2,6,0,1,0")]
+  kiln view baked.glb -o near.png --camera 4,2,6,0,1,0
+  kiln view baked.glb -o strip.png --fly path.json --pack baked.kiln --pack unsmoothed.kiln")]
 pub(crate) struct ViewArgs {
     /// The baked file
     pub(crate) baked: PathBuf,
@@ -94,9 +95,17 @@ pub(crate) struct ViewArgs {
     /// Show one half-distance, by number from 0 [default: the blend, or the greatest residual]
     #[arg(long, value_name = "N")]
     pub(crate) channel: Option<usize>,
-    /// Width and height of the picture, pixels
-    #[arg(long, value_name = "WxH", default_value = "1280x800", value_parser = parse_size)]
-    pub(crate) size: [u32; 2],
+    /// Draw a ball that moves through the level, lit by the models of visibility regions in packs: a strip of pictures, a row
+    /// for what is traced, and for each pack one without and one with blending over time. The path: `{"points": [[x, y, z], …],
+    /// "speed_m_per_s": 2, "radius_m": 0.3, "pictures": 8, "camera_m": 4}`
+    #[arg(long, value_name = "PATH.json", requires = "pack", conflicts_with_all = ["camera", "side_by_side", "overlay"])]
+    pub(crate) fly: Option<PathBuf>,
+    /// With --fly: a pack with models; may be given again, to compare
+    #[arg(long, value_name = "P.kiln", requires = "fly")]
+    pub(crate) pack: Vec<PathBuf>,
+    /// Width and height of the picture, pixels [default: 1280x800; with --fly each one's, 320x240]
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    pub(crate) size: Option<[u32; 2]>,
 }
 
 /// Measures Kiln: error against time and rays, the tracer and the solver beside others.

@@ -3,10 +3,13 @@
 use crate::{
     args::{Common, OverlayChoice, ViewArgs},
     failure::Failure,
+    flight::{BallTracer, FlightPath, FlightReport, Frames, draw},
     picture::{Camera, Image, Shading, TICK, TOP, render, write_png},
     source::read_baked,
 };
+use anyhow::Context;
 use kiln_core::CoarseFaces;
+use kiln_runtime::Pack;
 use kiln_scene::{BakedPart, BakedScene};
 use std::path::Path;
 
@@ -14,7 +17,10 @@ use std::path::Path;
 pub(crate) fn run(args: &ViewArgs, common: &Common) -> Result<(), Failure> {
     super::use_threads(common)?;
     let scene = read_baked(&args.baked)?;
-    let [width, height] = args.size;
+    if let Some(path) = &args.fly {
+        return fly(args, path, &scene, common);
+    }
+    let [width, height] = args.size.unwrap_or([1280, 800]);
     let camera = match &args.camera {
         Some(numbers) => Camera::parse(numbers).map_err(|error| Failure::usage(format!("--camera: {error}")))?,
         None => Camera::overview(&scene, f64::from(width) / f64::from(height)),
@@ -45,6 +51,46 @@ pub(crate) fn run(args: &ViewArgs, common: &Common) -> Result<(), Failure> {
             CoarseFaces::LEAST_DEVIATION
         );
     }
+    Ok(())
+}
+
+/// A strip of pictures of a ball that moves through the level.
+#[expect(clippy::print_stdout, reason = "this is the command's output")]
+fn fly(args: &ViewArgs, path: &Path, scene: &BakedScene, common: &Common) -> Result<(), Failure> {
+    let path = FlightPath::read(path)?;
+    let frames = Frames::of(&path);
+    let bytes = args.pack.iter().map(|file| {
+        let context = || format!("{} cannot be read", file.display());
+        std::fs::read(file).with_context(context)
+    });
+    let bytes = bytes.collect::<Result<Vec<Vec<u8>>, _>>()?;
+    let (mut rows, mut crossings, mut tracer) = (Vec::new(), Vec::new(), None);
+    for (file, bytes) in args.pack.iter().zip(&bytes) {
+        let name = file.display().to_string();
+        let pack = Pack::new(bytes).map_err(|error| Failure::refused(format!("{name}: {error}")))?;
+        if tracer.is_none() {
+            let found = tracer.insert(BallTracer::new(scene, frames.places[0], pack.meta().blend()));
+            rows.push(frames.traced(found)?);
+        }
+        let (two, crossed) = frames.modelled(&pack, &name)?;
+        rows.extend(two);
+        crossings.push(crossed);
+    }
+    let Some(tracer) = tracer else { return Err(Failure::usage("--fly: give a pack by --pack")) };
+    let shading = shading(scene, &args.baked, None, args.channel)?;
+    let size = args.size.unwrap_or([320, 240]);
+    let image = draw(scene, &shading, &path, &frames, &rows, &tracer, size);
+    write_png(&args.output, &image)?;
+    let report = FlightReport { frames: frames.places.len(), crossings, rows: rows.iter().map(Into::into).collect() };
+    if common.json {
+        println!("{}", serde_json::to_string(&report).map_err(anyhow::Error::from)?);
+        return Ok(());
+    }
+    println!("wrote {} ({} × {}); rows from the top:", args.output.display(), image.width, image.height);
+    for row in &report.rows {
+        println!("  {}: greatest change of AO in a frame {:.4}", row.name, row.greatest_step);
+    }
+    println!("the ball came into another region {:?} times in {} frames", report.crossings, report.frames);
     Ok(())
 }
 

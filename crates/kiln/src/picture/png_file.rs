@@ -3,6 +3,9 @@
 use anyhow::Context;
 use std::{fs::File, io::BufWriter, path::Path};
 
+/// Width of the line between two pictures, pixels.
+const LINE: usize = 4;
+
 /// An 8-bit sRGB picture, rows from the top.
 pub(crate) struct Image {
     pub(crate) width: u32,
@@ -19,9 +22,18 @@ impl Image {
         }
     }
 
+    /// Pictures of the same width, one below the other, with light lines between.
+    pub(crate) fn stacked(pictures: Vec<Self>) -> Self {
+        let width = pictures.iter().map(|picture| picture.width).max().unwrap_or(0);
+        let line = vec![230; 3 * LINE * width as usize];
+        let rows: Vec<Vec<u8>> = pictures.iter().map(|picture| picture.rgb.clone()).collect();
+        let lines = (LINE * pictures.len().saturating_sub(1)) as u32;
+        let height = pictures.iter().map(|picture| picture.height).sum::<u32>() + lines;
+        Self { width, height, rgb: rows.join(&line[..]) }
+    }
+
     /// Two pictures of the same height, with a light line between.
     pub(crate) fn beside(self, right: &Self) -> Self {
-        const LINE: usize = 4;
         let row = |image: &Self, y: usize| {
             let stride = image.width as usize * 3;
             image.rgb[y * stride..][..stride].to_vec()

@@ -64,7 +64,8 @@ fn in_range(channel: Option<usize>, channels: usize) -> Result<Option<usize>, St
     }
 }
 
-struct Surface {
+/// All surfaces of a baked file.
+pub(crate) struct Surface {
     tracer: CpuTracer,
     mesh: Mesh,
     /// Shown value of each corner of each face; NaN where there is none.
@@ -74,19 +75,28 @@ struct Surface {
     is_residual: bool,
 }
 
+/// A ball amid the level.
+pub(crate) struct Ball {
+    /// World space, metres.
+    pub(crate) center: DVec3,
+    pub(crate) radius_m: f64,
+}
+
+/// A rotated grid of four points of a pixel.
+const POINTS: [(f64, f64); 4] = [(0.125, 0.625), (0.375, 0.125), (0.625, 0.875), (0.875, 0.375)];
+
 /// Renders a baked file.
 pub(crate) fn render(scene: &BakedScene, camera: &Camera, shading: &Shading, width: u32, height: u32) -> Image {
-    let surface = Surface::new(scene, shading, camera);
+    // Relative to what is looked at, so that f32 holds far-away levels.
+    let surface = Surface::new(scene, shading, camera.target);
     let aspect = f64::from(width) / f64::from(height);
     let eye = (camera.eye - surface.origin).as_vec3();
     let pixel = |index: u32| {
         let (x, y) = (index % width, index / width);
         let mut sum = Vec3::ZERO;
-        // A rotated grid of four points.
-        for (dx, dy) in [(0.125, 0.625), (0.375, 0.125), (0.625, 0.875), (0.875, 0.375)] {
-            let u = 2.0 * (f64::from(x) + dx) / f64::from(width) - 1.0;
-            let v = 1.0 - 2.0 * (f64::from(y) + dy) / f64::from(height);
-            sum += surface.color(eye, camera.direction(u, v, aspect));
+        for point in POINTS {
+            let [u, v] = place([x, y], point, [width, height]);
+            sum += surface.color(eye, camera.direction(u, v, aspect)).0;
         }
         (sum * 0.25).to_array().map(to_srgb)
     };
@@ -98,10 +108,14 @@ pub(crate) fn render(scene: &BakedScene, camera: &Camera, shading: &Shading, wid
     image
 }
 
+/// A point of a pixel in the picture, each coordinate in [−1, 1], y up.
+fn place([x, y]: [u32; 2], (dx, dy): (f64, f64), [width, height]: [u32; 2]) -> [f64; 2] {
+    [2.0 * (f64::from(x) + dx) / f64::from(width) - 1.0, 1.0 - 2.0 * (f64::from(y) + dy) / f64::from(height)]
+}
+
 impl Surface {
-    fn new(scene: &BakedScene, shading: &Shading, camera: &Camera) -> Self {
-        // Relative to what is looked at, so that f32 holds far-away levels.
-        let origin = camera.target;
+    /// Relative to an origin near what is looked at.
+    pub(crate) fn new(scene: &BakedScene, shading: &Shading, origin: DVec3) -> Self {
         let mesh = one_mesh(scene, origin, |_| true);
         let values = |part: &BakedPart| {
             part.faces.iter().map(|face| face.map(|v| shading.value(part, v))).collect::<Vec<[f32; 3]>>()
@@ -111,7 +125,36 @@ impl Surface {
         Self { tracer, mesh, values, origin, is_residual: matches!(shading, Shading::Residual(_)) }
     }
 
-    fn color(&self, eye: Vec3, direction: Vec3) -> Vec3 {
+    /// The same picture with a ball that is shaded in so many ways: `shades` gives what each shows for a normal.
+    pub(crate) fn render_ball(
+        &self,
+        camera: &Camera,
+        ball: &Ball,
+        shades: &(dyn Fn(Vec3) -> Vec<f32> + Sync),
+        ways: usize,
+        [width, height]: [u32; 2],
+    ) -> Vec<Image> {
+        let aspect = f64::from(width) / f64::from(height);
+        let eye = (camera.eye - self.origin).as_vec3();
+        let pixel = |index: u32| {
+            let mut sums = vec![Vec3::ZERO; ways];
+            for point in POINTS {
+                let [u, v] = place([index % width, index / width], point, [width, height]);
+                let direction = camera.direction(u, v, aspect);
+                let (color, distance) = self.color(eye, direction);
+                let normal = ball.normal(camera.eye, direction).filter(|(t, _)| *t < distance).map(|(_, normal)| normal);
+                let shown = normal.map_or_else(|| vec![color; ways], |n| shades(n).into_iter().map(Vec3::splat).collect());
+                sums.iter_mut().zip(shown).for_each(|(sum, color)| *sum += color);
+            }
+            sums.into_iter().map(|sum| (sum * 0.25).to_array().map(to_srgb)).collect::<Vec<[u8; 3]>>()
+        };
+        let pixels: Vec<Vec<[u8; 3]>> = (0..width * height).into_par_iter().map(pixel).collect();
+        let image = |way: usize| Image { width, height, rgb: pixels.iter().flat_map(|ways| ways[way]).collect() };
+        (0..ways).map(image).collect()
+    }
+
+    /// What a ray from the eye shows, and how far away that is.
+    fn color(&self, eye: Vec3, direction: Vec3) -> (Vec3, f32) {
         let mut origin = eye;
         for _ in 0..MAX_LAYERS {
             let hit = self.tracer.closest_hit(&Ray { origin, direction, t_max: f32::MAX });
@@ -120,12 +163,13 @@ impl Surface {
             }
             let point = origin + direction * hit.t;
             if !hit.back_face {
-                return self.shade(hit.primitive as usize, point, direction);
+                return (self.shade(hit.primitive as usize, point, direction), point.distance(eye));
             }
             origin = point + direction * (1e-6 * point.abs().max_element().max(hit.t) + f32::MIN_POSITIVE);
         }
         // A plain ground for what is empty.
-        Vec3::new(0.36, 0.45, 0.58).lerp(Vec3::new(0.62, 0.70, 0.80), 0.5 + 0.5 * direction.y)
+        let sky = Vec3::new(0.36, 0.45, 0.58).lerp(Vec3::new(0.62, 0.70, 0.80), 0.5 + 0.5 * direction.y);
+        (sky, f32::INFINITY)
     }
 
     fn shade(&self, face: usize, point: Vec3, direction: Vec3) -> Vec3 {
@@ -144,6 +188,18 @@ impl Surface {
             (false, false) => Vec3::new(0.35, 0.16, 0.30),
             (false, true) => Vec3::splat(0.25),
         }
+    }
+}
+
+impl Ball {
+    /// Where a ray from outside first meets the ball: its distance in units of the direction's length, and the normal.
+    fn normal(&self, eye: DVec3, direction: Vec3) -> Option<(f32, Vec3)> {
+        let (direction, offset) = (direction.as_dvec3(), eye - self.center);
+        let (a, b) = (direction.length_squared(), offset.dot(direction));
+        let root = b * b - a * (offset.length_squared() - self.radius_m * self.radius_m);
+        let t = (-b - root.sqrt()) / a;
+        // Not for NaN either.
+        (t > 0.0).then(|| (t as f32, ((offset + direction * t) / self.radius_m).as_vec3()))
     }
 }
 

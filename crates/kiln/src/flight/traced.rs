@@ -1,0 +1,60 @@
+//! What a ball should be lit by: the sphere about it, traced through the baked file.
+
+use super::Light;
+use crate::{
+    failure::Failure,
+    one_mesh::{one_mesh, scene_of},
+};
+use glam::DVec3;
+use kiln_bake::{RegionGather, gather_points};
+use kiln_core::Kernel;
+use kiln_scene::BakedScene;
+use kiln_trace::{CpuTracer, KernelRates};
+
+/// Directions about each place.
+const RAYS: u32 = 4096;
+
+/// Half-distance of a file that records none, metres.
+const DEFAULT_HALF_DISTANCE_M: f64 = 2.0;
+
+/// All geometry of a baked file, and what a ray is worth.
+pub(crate) struct BallTracer {
+    tracer: CpuTracer,
+    origin: DVec3,
+    gather: RegionGather,
+    /// Of each channel.
+    weights: Vec<f32>,
+}
+
+impl BallTracer {
+    /// Near an origin; `weights` are those of the half-distances in the blend.
+    pub(crate) fn new(scene: &BakedScene, origin: DVec3, weights: &[f32]) -> Self {
+        let tracer = CpuTracer::new(scene_of(&one_mesh(scene, origin, |_| true)));
+        let known = scene.half_distances_m.clone();
+        let half_distances_m = if known.is_empty() { vec![DEFAULT_HALF_DISTANCE_M] } else { known };
+        let mut weights = weights.to_vec();
+        weights.resize(half_distances_m.len(), 0.0);
+        let kernel = KernelRates::new(&Kernel::Obscurance { half_distances_m });
+        let gather = RegionGather { kernel, rays_per_point: RAYS, back_face_limit: 1.0, seed: 0 };
+        Self { tracer, origin, gather, weights }
+    }
+
+    /// The tracer, and where its space begins.
+    pub(super) fn space(&self) -> (&CpuTracer, DVec3) {
+        (&self.tracer, self.origin)
+    }
+
+    /// AO as a function of the normal at each place, world space, metres.
+    pub(super) fn lights(&self, places: &[DVec3]) -> Result<Vec<Light>, Failure> {
+        let points: Vec<DVec3> = places.iter().map(|place| *place - self.origin).collect();
+        let found = gather_points(&self.tracer, &points, &self.gather).map_err(anyhow::Error::from)?;
+        let blend = |channels: &Vec<Light>| {
+            let mut light = Light::default();
+            for (channel, weight) in channels.iter().zip(&self.weights) {
+                light.iter_mut().zip(channel).for_each(|(sum, value)| *sum += weight * value);
+            }
+            light
+        };
+        Ok(found.iter().map(blend).collect())
+    }
+}
