@@ -265,6 +265,8 @@ pub struct RegionSummary {
     pub empty: u64,
     /// Models whose slopes were shrunk, for they overshot.
     pub shrunk: u64,
+    /// Models that smoothing moved less far than their neighbours drew, for they would have overshot.
+    pub held: u64,
     /// Models whose centre was refined.
     pub refined: u64,
     /// Sweeps of smoothing.

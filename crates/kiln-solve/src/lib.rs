@@ -15,7 +15,8 @@
 //! 7. [`fill`] gives values to what no sample reaches, [`estimate`] the error from the two halves, and [`residual`] says
 //!    where no linear function can hold the signal.
 //!
-//! [`tree`] fits instances of one model to the model's local AO times a linear function of each instance.
+//! [`tree`] fits instances of one model to the model's local AO times a linear function of each instance; [`region`]
+//! models what moving objects see in visibility regions.
 //!
 //! All of it is f64 but for the recurrence of conjugate gradients, whose f32 is refined in f64 ([`pcg`]), with a
 //! fixed order of every sum: the result depends neither on the number of threads nor on
@@ -40,6 +41,7 @@ pub mod matrix;
 pub mod nearest;
 pub mod parallel;
 pub mod pcg;
+pub mod region;
 pub mod residual;
 pub mod samples;
 mod scaled;
@@ -54,6 +56,7 @@ pub use chain::{SolverParams, solve_component};
 pub use instance::{SolveError, SolveInput, solve, solve_with};
 pub use lane::lane;
 pub use level::{LevelInstance, fill_unsampled};
+pub use region::{RegionError, model_regions};
 pub use system::{ComponentAnswer, ComponentSystem};
 pub use tree::{
     AlternateParams, Alternated, ErrorTables, GLOBAL_BOUND, HalfStep, ModelSample, ModelSamples, SampledLocal,
