@@ -10,7 +10,10 @@ use held_out::{HeldOut, Rmse};
 use jumps::Jumps;
 use kiln_bake::{RegionGather, gather_regions};
 use kiln_core::{Digest, FoliageMode, Kernel, Level, RegionModels, RegionSamples};
-use kiln_solve::{CenterRule, RegionFit, RegionPoints, fit_region, model_regions};
+use kiln_solve::{
+    model_regions,
+    region::{CenterRule, RegionFit, RegionPoints, fit_region},
+};
 use kiln_trace::{KernelRates, Tracer};
 use kiln_worker::tasks::{Backend, LoadedLevel};
 use rayon::prelude::*;
@@ -53,7 +56,6 @@ const RULES: [(CenterRule, &str); 6] = [
 struct Found {
     name: String,
     half_distances: String,
-    samples: RegionSamples,
     models: RegionModels,
     trace_secs: f64,
     model_secs: f64,
@@ -68,7 +70,9 @@ struct Found {
 pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
     println!("{}; models of visibility regions\n", Provenance::now().sentence());
     let found = args.levels.iter().map(|path| measure(path, args)).collect::<Result<Vec<Found>, _>>()?;
-    println!("| level | half-distances | regions (absorbed) | valid points (dropped) | trace, s | models, s | 332,741 points, s |");
+    println!(
+        "| level | half-distances | regions (absorbed) | valid points (dropped) | trace, s | models, s | 332,741 points, s |"
+    );
     println!("|---|---|---|---|---|---|---|");
     for level in &found {
         let s = &level.models.summary;
@@ -86,7 +90,9 @@ pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
             332_741.0 * per_point
         );
     }
-    println!("\nThe paper's 332,741 points took 9.2 s on a K20: a landmark. RMSE of AO at held-out points and normals:\n");
+    println!(
+        "\nThe paper's 332,741 points took 9.2 s on a K20: a landmark. RMSE of AO at held-out points and normals:\n"
+    );
     let names: Vec<&str> = RULES.iter().map(|(_, name)| *name).chain(["smoothed", "harmonics at the point"]).collect();
     println!("| level | held out | {} |", names.join(" | "));
     println!("|---{}|", "|---".repeat(names.len() + 1));
@@ -94,8 +100,12 @@ pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
         let all: Vec<String> = level.rmse.iter().map(Rmse::text).collect();
         println!("| {} | {} | {} |", level.name, level.held_out, all.join(" | "));
     }
-    println!("\nJumps of AO where regions meet, root mean square by area over six normals; and the greatest change in one frame\n");
-    println!("| level | boundaries | as fitted | smoothed | smoothed and blended over time, in a frame | shrunk | refined | sweeps | energy |");
+    println!(
+        "\nJumps of AO where regions meet, root mean square by area over six normals; and the greatest change in one frame\n"
+    );
+    println!(
+        "| level | boundaries | as fitted | smoothed | smoothed and blended over time, in a frame | shrunk | refined | sweeps | energy |"
+    );
     println!("|---|---|---|---|---|---|---|---|---|");
     for level in &found {
         let s = &level.models.summary;
@@ -139,10 +149,8 @@ fn measure(path: &Path, args: &Args) -> Result<Found, BenchError> {
     let model_secs = began.elapsed().as_secs_f64();
     let points = points(level, &samples).map_err(|error| failed(error.to_string()))?;
     let held_out = HeldOut::trace(level, tracer, &samples, args).map_err(|error| failed(error.to_string()))?;
-    let fits: Vec<Vec<RegionFit>> = RULES
-        .iter()
-        .map(|(rule, _)| points.par_iter().map(|points| fit_region(points, *rule)).collect())
-        .collect();
+    let fits: Vec<Vec<RegionFit>> =
+        RULES.iter().map(|(rule, _)| points.par_iter().map(|points| fit_region(points, *rule)).collect()).collect();
     let mut rmse: Vec<Rmse> =
         fits.iter().map(|fits| held_out.rmse(|region, point| fits[region].at(point).collect())).collect();
     let smoothed = |region: usize, point| models.models[models.model_of[region] as usize].at(point).collect();
@@ -159,7 +167,6 @@ fn measure(path: &Path, args: &Args) -> Result<Found, BenchError> {
         rmse,
         jumps,
         models,
-        samples,
     })
 }
 
@@ -177,7 +184,7 @@ fn gather(level: &Level, tracer: &dyn Tracer) -> Result<RegionSamples, kiln_trac
 }
 
 /// The points of each region, for fits.
-fn points(level: &Level, samples: &RegionSamples) -> Result<Vec<RegionPoints>, kiln_solve::RegionError> {
+fn points(level: &Level, samples: &RegionSamples) -> Result<Vec<RegionPoints>, kiln_solve::region::RegionError> {
     let channels = samples.channels as usize;
     let mut values = samples.values.as_slice();
     let mut points = Vec::with_capacity(level.regions.regions.len());

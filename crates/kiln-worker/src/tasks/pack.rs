@@ -2,7 +2,6 @@
 
 use super::{LoadedLevel, outputs::FoliageOutputs};
 use crate::TaskError;
-use bytes::Bytes;
 use glam::DVec3;
 use kiln_core::{
     Digest, InstanceNumbers, Kernel, Level, MeshEntry, PackFile, RegionModels, Remap, ValueFormat, VertexBlock,
@@ -23,7 +22,7 @@ pub(super) fn pack(
     values: &[BakedInstance<'_>],
     foliage: &FoliageOutputs,
     regions: Option<&RegionModels>,
-) -> Result<Option<(PackFile, Bytes)>, TaskError> {
+) -> Result<Option<(PackFile, Vec<u8>)>, TaskError> {
     let of_level = &level.level;
     if !of_level.output.pack && regions.is_none() {
         return Ok(None);
@@ -41,9 +40,14 @@ pub(super) fn pack(
     let failed = |reason: String| TaskError::Failed { reason: format!("the pack: {reason}") };
     let bytes = write(&data).map_err(|error| failed(error.to_string()))?;
     let written = Pack::new(&bytes).map_err(|error| failed(error.to_string()))?;
-    let sizes = written.sizes().map(|size| (size.kind.map_or_else(|| format!("section {}", size.number), |kind| kind.name().to_owned()), size.bytes)).collect();
+    let sizes = written
+        .sizes()
+        .map(|size| {
+            (size.kind.map_or_else(|| format!("section {}", size.number), |kind| kind.name().to_owned()), size.bytes)
+        })
+        .collect();
     let file = PackFile { digest: Digest::of(&bytes), bytes: bytes.len() as u64, sizes };
-    Ok(Some((file, Bytes::from(bytes))))
+    Ok(Some((file, bytes)))
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "f32 is what an engine takes")]
@@ -63,7 +67,9 @@ fn meta(level: &Level, digest: Digest) -> MetaData {
         remap: match &level.output.remap {
             None => RemapData::None,
             Some(Remap::Gamma(gamma)) => RemapData::Gamma(*gamma as f32),
-            Some(Remap::Curve(points)) => RemapData::Curve(points.iter().map(|point| point.map(|x| x as f32)).collect()),
+            Some(Remap::Curve(points)) => {
+                RemapData::Curve(points.iter().map(|point| point.map(|x| x as f32)).collect())
+            }
         },
     }
 }
@@ -79,10 +85,7 @@ fn of_block<'a>(level: &Level, values: &'a [f32], block: &VertexBlock) -> ValueD
     }
 }
 
-fn vertex_sets<'a>(
-    level: &'a Level,
-    baked: &BakedInstance<'a>,
-) -> impl Iterator<Item = VertexSetData<'a>> + use<'a> {
+fn vertex_sets<'a>(level: &'a Level, baked: &BakedInstance<'a>) -> impl Iterator<Item = VertexSetData<'a>> + use<'a> {
     let (instance, values) = (&level.instances[baked.instance], baked.values);
     level.meshes[instance.mesh as usize].blocks.iter().map(move |block| VertexSetData {
         node: instance.node,

@@ -53,7 +53,8 @@ impl FlightPath {
         let context = || format!("{} cannot be read", path.display());
         let text = fs::read_to_string(path).with_context(context)?;
         Self::parse(&text).map_err(|problem| {
-            let form = r#"{"points": [[x, y, z], …], "speed_m_per_s": 2, "radius_m": 0.3, "pictures": 8, "camera_m": 4}"#;
+            let form =
+                r#"{"points": [[x, y, z], …], "speed_m_per_s": 2, "radius_m": 0.3, "pictures": 8, "camera_m": 4}"#;
             Failure::refused(format!("{}: {problem}; a flight is {form}", path.display()))
         })
     }

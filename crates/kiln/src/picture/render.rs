@@ -142,8 +142,10 @@ impl Surface {
                 let [u, v] = place([index % width, index / width], point, [width, height]);
                 let direction = camera.direction(u, v, aspect);
                 let (color, distance) = self.color(eye, direction);
-                let normal = ball.normal(camera.eye, direction).filter(|(t, _)| *t < distance).map(|(_, normal)| normal);
-                let shown = normal.map_or_else(|| vec![color; ways], |n| shades(n).into_iter().map(Vec3::splat).collect());
+                let normal =
+                    ball.normal(camera.eye, direction).filter(|(t, _)| *t < distance).map(|(_, normal)| normal);
+                let shown =
+                    normal.map_or_else(|| vec![color; ways], |n| shades(n).into_iter().map(Vec3::splat).collect());
                 sums.iter_mut().zip(shown).for_each(|(sum, color)| *sum += color);
             }
             sums.into_iter().map(|sum| (sum * 0.25).to_array().map(to_srgb)).collect::<Vec<[u8; 3]>>()
