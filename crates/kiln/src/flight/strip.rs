@@ -12,6 +12,9 @@ const FOV_DEGREES: f64 = 50.0;
 /// How much of the way to what is behind the camera it may go.
 const ROOM: f64 = 0.9;
 
+/// Where the camera may stand, as turns from right behind, in the order in which they are taken.
+const TURNS_DEGREES: [f64; 8] = [20.0, -20.0, 60.0, -60.0, 100.0, -100.0, 140.0, -140.0];
+
 /// Draws all rows.
 pub(crate) fn draw(
     scene: &BakedScene,
@@ -39,14 +42,22 @@ pub(crate) fn draw(
     columns.fold(first, |left, right| left.beside(&right))
 }
 
-/// From behind and above, or as near as walls leave room.
+/// From behind and above; where something stands in the way, from where there is most room.
 fn camera(tracer: &BallTracer, place: DVec3, heading: DVec3, distance_m: f64) -> Camera {
     let level = DVec3::new(heading.x, 0.0, heading.z).normalize_or(DVec3::Z);
     let side = level.cross(DVec3::Y);
-    let away = (DVec3::Y * 0.5 - level + side * 0.35).normalize();
     let (tracer, origin) = tracer.space();
-    let ray = Ray { origin: (place - origin).as_vec3(), direction: away.as_vec3(), t_max: distance_m as f32 };
-    let hit = tracer.closest_hit(&ray);
-    let room = if hit.is_hit() { ROOM * f64::from(hit.t) } else { distance_m };
+    let mut best = (DVec3::Y, 0.0);
+    for turn in TURNS_DEGREES {
+        let (sin, cos) = f64::sin_cos(turn * std::f64::consts::PI / 180.0);
+        let away = (DVec3::Y * 0.5 - level * cos + side * sin).normalize();
+        let ray = Ray { origin: (place - origin).as_vec3(), direction: away.as_vec3(), t_max: distance_m as f32 };
+        let hit = tracer.closest_hit(&ray);
+        let room = if hit.is_hit() { ROOM * f64::from(hit.t) } else { distance_m };
+        if room > best.1 {
+            best = (away, room);
+        }
+    }
+    let (away, room) = best;
     Camera { eye: place + away * room.max(1e-3), target: place, fov_degrees: FOV_DEGREES }
 }
