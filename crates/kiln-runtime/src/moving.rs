@@ -15,9 +15,19 @@ impl MovingObject {
         Self { region: None, shown: None }
     }
 
+    /// An object as an engine kept it: the region that it was in last, and the coefficients that were shown.
+    pub const fn resume(region: Option<u32>, shown: Option<[f32; 4]>) -> Self {
+        Self { region, shown }
+    }
+
     /// The region that it was in last.
     pub const fn region(&self) -> Option<u32> {
         self.region
+    }
+
+    /// The coefficients that were shown last.
+    pub const fn coefficients(&self) -> Option<[f32; 4]> {
+        self.shown
     }
 
     /// Moves it to a point, metres relative to the level's origin, `dt_secs` after the last call: finds its region,

@@ -18,6 +18,8 @@ pub struct Region {
     pub model: u32,
     first_neighbour: u32,
     neighbour_count: u32,
+    /// How many of the first neighbours overlap it and are smaller.
+    inner_count: u32,
 }
 
 impl Region {
@@ -41,12 +43,15 @@ impl Region {
 
     #[inline]
     pub(crate) fn parse(record: &[u8]) -> Self {
+        // A whole record, so that the compiler sees that all of its fields are there.
+        let record = record.first_chunk().unwrap_or(&[0; region::BYTES]);
         Self {
             min: floats_at(record, region::MIN),
             max: floats_at(record, region::MAX),
             model: u32_at(record, region::MODEL),
             first_neighbour: u32_at(record, region::FIRST_NEIGHBOUR),
             neighbour_count: u32_at(record, region::NEIGHBOUR_COUNT),
+            inner_count: u32_at(record, region::INNER_COUNT),
         }
     }
 
@@ -104,12 +109,19 @@ impl<'a> Pack<'a> {
         (0..self.region_count()).find(|index| self.region_id(*index) == Some(id))
     }
 
-    /// Indices of the regions beside one.
+    /// Indices of the regions beside one: first those that overlap it and are smaller, then the others.
+    #[inline]
     pub fn neighbours(&self, region: &Region) -> impl Iterator<Item = u32> + use<'a> {
         let (first, end) = region.neighbours();
         let table = self.sections.get(SectionKind::RegionNeighbours);
         let listed = table.bytes().get(first as usize * 4..).and_then(|rest| rest.get(..(end - first) as usize * 4));
         listed.unwrap_or_default().chunks_exact(4).map(|index| u32_at(index, 0))
+    }
+
+    /// Indices of the regions that overlap one and are smaller.
+    #[inline]
+    pub(crate) fn inner(&self, region: &Region) -> impl Iterator<Item = u32> + use<'a> {
+        self.neighbours(region).take(region.inner_count as usize)
     }
 
     /// A boundary by its index, below [`Pack::count`] of [`SectionKind::RegionEdges`].
