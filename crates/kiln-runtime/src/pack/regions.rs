@@ -37,8 +37,8 @@ impl Region {
 
     /// Volume of the box, cubic metres.
     #[inline]
-    pub fn volume(&self) -> f32 {
-        (0..3).map(|i| self.max[i] - self.min[i]).product()
+    pub fn volume(&self) -> f64 {
+        volume(self.min, self.max)
     }
 
     #[inline]
@@ -59,6 +59,12 @@ impl Region {
     pub(super) fn neighbours(&self) -> (u64, u64) {
         (u64::from(self.first_neighbour), u64::from(self.first_neighbour) + u64::from(self.neighbour_count))
     }
+}
+
+/// Volume of a box, in f64: of floats no product overflows there, so that none is NaN.
+#[inline]
+pub(crate) fn volume(min: [f32; 3], max: [f32; 3]) -> f64 {
+    (0..3).map(|i| f64::from(max[i]) - f64::from(min[i])).product()
 }
 
 /// Two regions that touch or overlap.

@@ -7,6 +7,7 @@ use super::{
 use crate::{
     format::{HARMONICS, MAX_CHANNELS, NONE, PARAMETERS, SectionKind, VALUES_ARE_F32, VALUES_ARE_U16},
     half,
+    pack::volume,
 };
 use alloc::vec::Vec;
 
@@ -242,7 +243,7 @@ fn is_inner(data: &RegionsData, of: u32, neighbour: u32) -> bool {
     // Indices that do not exist are found by who reads the pack.
     let [Some(region), Some(other)] = both else { return false };
     let overlap = (0..3).all(|i| region.min[i].max(other.min[i]) < region.max[i].min(other.max[i]));
-    let rank = |index, r: &RegionData| ((0..3).map(|i| r.max[i] - r.min[i]).product::<f32>(), index);
+    let rank = |index, region: &RegionData| (volume(region.min, region.max), index);
     overlap && rank(neighbour, other) < rank(of, region)
 }
 

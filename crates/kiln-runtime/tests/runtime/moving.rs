@@ -47,6 +47,19 @@ fn outside_of_all_boxes_the_nearest_is_taken() {
     assert!(Pack::new(&empty).unwrap().region_at([0.0; 3], None).is_none());
 }
 
+/// Found by the fuzzer: in f32 the volume of such a box is infinity times nothing.
+#[test]
+fn a_box_without_thickness_and_without_end_has_no_volume() {
+    let mut data = PackData::new(sample::meta(2));
+    data.regions = sample::house();
+    data.regions.regions[3].min = [-f32::MAX, 0.0, 0.0];
+    data.regions.regions[3].max = [f32::MAX, 0.0, 4.0];
+    let bytes = write(&data).unwrap();
+    let pack = Pack::new(&bytes).unwrap();
+    assert_eq!(pack.region(3).unwrap().volume(), 0.0);
+    assert_eq!(pack.region_at([1.0, 0.0, 1.0], None).map(|hit| hit.region), Some(3));
+}
+
 /// A room whose floor is an infinite plane: AO is (1 + n·up) / 2 in both forms, at every point and normal.
 #[test]
 fn a_plane_is_exact_in_both_forms() {
