@@ -13,9 +13,9 @@ const POINTS: u32 = 100_000;
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!(
-        "| regions | bytes of a model, full | engine | of a region besides | full, ns | engine, ns | decoded, ns | look-up from a hint, ns | without, ns | object, ns |"
+        "| regions | pack, MB | opened in, ms | bytes of a model, full | engine | of a region besides | full, ns | engine, ns | decoded, ns | look-up from a hint, ns | without, ns | object, ns |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     let given = std::env::args().nth(1);
     let packs = match given {
         Some(path) => vec![std::fs::read(path)?],
@@ -23,7 +23,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     for bytes in packs {
         let cost = query_cost(&bytes, POINTS)?;
-        print!("| {} | {} | {} | {:.0} ", cost.regions, cost.full_bytes, cost.engine_bytes, cost.region_bytes);
+        print!("| {} | {:.2} | {:.2} ", cost.regions, bytes.len() as f64 / 1e6, cost.open_ms);
+        print!("| {} | {} | {:.0} ", cost.full_bytes, cost.engine_bytes, cost.region_bytes);
         let times =
             [cost.full_ns, cost.engine_ns, cost.decoded_ns, cost.hinted_lookup_ns, cost.lookup_ns, cost.object_ns];
         times.iter().for_each(|ns| print!("| {ns:.1} "));

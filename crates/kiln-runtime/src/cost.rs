@@ -21,6 +21,8 @@ pub struct QueryCost {
     pub engine_bytes: usize,
     /// Bytes of a region besides its model: box, id, neighbours, boundaries.
     pub region_bytes: f64,
+    /// Opening the pack, milliseconds: all that is checked once.
+    pub open_ms: f64,
     /// Nine coefficients of one channel, and AO for a normal from them.
     pub full_ns: f64,
     /// Four coefficients of the blend, and AO for a normal from them.
@@ -82,7 +84,9 @@ pub fn rooms(side: u32) -> PackData<'static> {
 /// # Errors
 /// [`PackError`] of a pack that is none, or has no models in one of the forms.
 pub fn query_cost(bytes: &[u8], points: u32) -> Result<QueryCost, PackError> {
+    let start = Instant::now();
     let pack = Pack::new(bytes)?;
+    let open_ms = start.elapsed().as_secs_f64() * 1e3;
     for kind in [SectionKind::Regions, SectionKind::ModelsFull, SectionKind::ModelsEngine] {
         if pack.count(kind) == 0 {
             return Err(PackError::Missing { kind });
@@ -100,6 +104,7 @@ pub fn query_cost(bytes: &[u8], points: u32) -> Result<QueryCost, PackError> {
         full_bytes: pack.records(SectionKind::ModelsFull).1,
         engine_bytes: pack.records(SectionKind::ModelsEngine).1,
         region_bytes: around.map(size).into_iter().sum::<f64>() / f64::from(pack.region_count()),
+        open_ms,
         full_ns: time(&queries, |q| pack.full_at(q.region, q.point, 0).map_or(0.0, |c| ao_quadratic(c, normal))),
         engine_ns: time(&queries, |q| pack.engine_at(q.region, q.point).map_or(0.0, |c| ao_linear(c, normal))),
         decoded_ns: time(&queries, |q| {

@@ -32,7 +32,8 @@ impl MovingObject {
 
     /// Moves it to a point, metres relative to the level's origin, `dt_secs` after the last call: finds its region,
     /// evaluates the engine's form of the model there, and blends with what was shown before. Gives linear coefficients
-    /// for [`crate::ao_linear`]; none, and no change, where the pack has no regions or the point is not finite.
+    /// for [`crate::ao_linear`]; none, and no change, where the pack has no regions or the point is not finite. An object
+    /// that is put elsewhere at once is a new one: else it fades from one place to the other.
     pub fn update(&mut self, pack: &Pack<'_>, point: [f32; 3], dt_secs: f32, blend: TemporalBlend) -> Option<[f32; 4]> {
         let hit = pack.region_at(point, self.region)?;
         let now = pack.engine_at(hit.region, point)?;

@@ -79,6 +79,9 @@ struct Values {
     channels: usize,
 }
 
+/// Numbers of a primitive begin at multiples of this, so that they can be bound as vertex buffers where they are.
+const VALUES_ALIGNMENT: usize = 16;
+
 /// Where numbers were put.
 #[derive(Clone, Copy)]
 struct Place {
@@ -100,6 +103,7 @@ impl Values {
             ValueData::F32(_) => (&mut self.floats, VALUES_ARE_F32),
             ValueData::U16(_) => (&mut self.integers, VALUES_ARE_U16),
         };
+        section.align(VALUES_ALIGNMENT);
         let first = section.count() as u64;
         match values {
             ValueData::F32(values) => section.floats(values),
