@@ -5,7 +5,7 @@ use anyhow::Result;
 use cbindgen::{Builder, Config, DocumentationStyle, EnumConfig, Language, RenameRule, Style};
 use std::path::Path;
 
-const SOURCE: &str = "crates/kiln-runtime/src/c_api";
+const SOURCE: &str = "crates/kiln-runtime/src/c_api/mod.rs";
 const HEADER: &str = "crates/kiln-runtime/include/kiln_runtime.h";
 
 const HEAD: &str = "/* What an engine needs of a Kiln bake: docs/runtime.md and docs/pack-format.md of Kiln. Written from crates/kiln-runtime/src/c_api\n   by `cargo xtask header`. Points are metres relative to the level's origin; AO is from 0 to 1, 1 open. */";
@@ -26,9 +26,8 @@ pub(crate) fn run(is_check: bool) -> Result<()> {
         },
         ..Config::default()
     };
-    let builder = Builder::new().with_config(config);
-    let sources = ["mod.rs", "pack.rs", "regions.rs", "values.rs"];
-    let builder = sources.iter().fold(builder, |builder, file| builder.with_src(Path::new(SOURCE).join(file)));
+    // Its modules are read, too.
+    let builder = Builder::new().with_config(config).with_src(SOURCE);
     let mut text = Vec::new();
     builder.generate()?.write(&mut text);
     write_or_check(&[(Path::new(HEADER), String::from_utf8(text)?)], is_check, "cargo xtask header")
