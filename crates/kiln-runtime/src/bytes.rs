@@ -1,6 +1,7 @@
 //! Numbers in bytes, least significant first. A place beyond the end reads as zero: what [`crate::Pack::new`] has
 //! checked is never there, and so nothing here can panic.
 
+#[inline]
 pub(crate) fn array_at<const N: usize>(bytes: &[u8], at: usize) -> Option<&[u8; N]> {
     bytes.get(at..)?.first_chunk()
 }
@@ -15,6 +16,7 @@ pub(crate) fn u32_at(bytes: &[u8], at: usize) -> u32 {
     array_at(bytes, at).map_or(0, |b| u32::from_le_bytes(*b))
 }
 
+#[inline]
 pub(crate) fn u64_at(bytes: &[u8], at: usize) -> u64 {
     array_at(bytes, at).map_or(0, |b| u64::from_le_bytes(*b))
 }

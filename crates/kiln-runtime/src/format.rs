@@ -294,6 +294,8 @@ pub mod region {
     pub const FIRST_NEIGHBOUR: usize = 36;
     /// u32.
     pub const NEIGHBOUR_COUNT: usize = 40;
+    /// u32: how many of the first neighbours overlap it and are smaller.
+    pub const INNER_COUNT: usize = 44;
     /// Size.
     pub const BYTES: usize = 48;
 }

@@ -17,43 +17,47 @@ impl Pack<'_> {
     ///
     /// Boxes may overlap: the smallest that contains the point wins, the first of equal ones. If none does, the nearest.
     ///
-    /// With a hint, the region that the object was in before, it is looked for from there: among the hint and its
-    /// neighbours, from the smallest of these that contains the point among its neighbours, and so on; only if none of
-    /// the first contains it among all. The cost then does not depend on the number of regions, and the result is the same
-    /// as without where regions that overlap are neighbours, as they are in what Kiln bakes.
+    /// With a hint, the region that the object was in before, it is looked for from there. If the hint's box contains the
+    /// point, only smaller boxes that overlap it are looked at; else its neighbours, and only if none of them contains it
+    /// all regions. The cost then does not depend on the number of regions, and the result is the same as without where
+    /// regions that overlap are neighbours, as they are in what Kiln bakes; but on a face that two regions share, an object
+    /// stays in the one that it was in.
     pub fn region_at(&self, point: [f32; 3], hint: Option<u32>) -> Option<RegionHit> {
         if !point.iter().all(|x| x.is_finite()) {
             return None;
         }
-        let near = hint.and_then(|hint| self.descend(point, hint));
-        match near.or_else(|| self.smallest(point, 0..self.region_count())) {
+        let near = hint.and_then(|hint| self.near(point, hint));
+        let found = near.or_else(|| self.smallest(point, 0..self.region_count())).map(|(region, _)| region);
+        match found {
             Some(region) => Some(RegionHit { region, distance_m: 0.0 }),
             None => self.nearest(point),
         }
     }
 
-    /// From a region to ever smaller neighbours that contain the point.
-    fn descend(&self, point: [f32; 3], start: u32) -> Option<u32> {
-        let mut current = None;
-        let mut next = start;
-        // Each step is to a smaller box, or to an equal one before it, so this ends.
-        while current != Some(next) {
-            current = Some(next);
-            let region = self.region(next)?;
-            next = self.smallest(point, core::iter::once(next).chain(self.neighbours(&region)))?;
-        }
-        current
+    /// The region of a point by way of another region.
+    fn near(&self, point: [f32; 3], hint: u32) -> Option<(u32, Region)> {
+        let region = self.region(hint)?;
+        let start =
+            if region.contains(point) { (hint, region) } else { self.smallest(point, self.neighbours(&region))? };
+        Some(
+            self.smallest(point, self.inner(&start.1))
+                .filter(|inner| inner.1.volume() <= start.1.volume())
+                .unwrap_or(start),
+        )
     }
 
-    fn smallest(&self, point: [f32; 3], among: impl Iterator<Item = u32>) -> Option<u32> {
-        let mut best: Option<(u32, f32)> = None;
-        for (index, region) in among.filter_map(|index| Some((index, self.region(index)?))) {
-            let is_better = |(other, volume)| region.volume() < volume || (region.volume() == volume && index < other);
-            if region.contains(point) && best.is_none_or(is_better) {
-                best = Some((index, region.volume()));
+    /// The smallest of some regions that contains the point, the first of equal ones.
+    #[inline]
+    fn smallest(&self, point: [f32; 3], among: impl Iterator<Item = u32>) -> Option<(u32, Region)> {
+        let mut best: Option<(u32, Region)> = None;
+        for index in among {
+            let Some(region) = self.region(index).filter(|region| region.contains(point)) else { continue };
+            let rank = |index, region: &Region| (region.volume(), index);
+            if best.as_ref().is_none_or(|(other, least)| rank(index, &region) < rank(*other, least)) {
+                best = Some((index, region));
             }
         }
-        best.map(|(index, _)| index)
+        best
     }
 
     fn nearest(&self, point: [f32; 3]) -> Option<RegionHit> {

@@ -9,7 +9,7 @@
 //! ([`crate::Region::clamp`]), as [`crate::Pack::engine_at`] and [`crate::Pack::full_at`] do.
 
 use crate::{
-    bytes::{array_at, f32_at, floats_at, u16_at, u32_at},
+    bytes::{array_at, f32_at, floats_at, u32_at},
     format::{HARMONICS, PARAMETERS, model_engine, model_full},
     half,
 };
@@ -46,8 +46,10 @@ impl<'a> EngineModel<'a> {
 
     #[inline]
     fn row(&self, row: usize) -> [f32; 4] {
-        let at = model_engine::PARAMETERS + 8 * row;
-        core::array::from_fn(|i| half::finite_to_f32(u16_at(self.bytes, at + 2 * i)))
+        let bytes: &[u8; 8] = array_at(self.bytes, model_engine::PARAMETERS + 8 * row).unwrap_or(&[0; 8]);
+        let halves: [u32; 4] =
+            core::array::from_fn(|i| u32::from(u16::from_le_bytes([bytes[2 * i], bytes[2 * i + 1]])));
+        half::finite_to_f32(halves)
     }
 
     /// Coefficients of AO at a point, in linear harmonics. Metres relative to the level's origin.

@@ -15,14 +15,25 @@ impl MovingObject {
         Self { region: None, shown: None }
     }
 
+    /// An object as an engine kept it: the region that it was in last, and the coefficients that were shown.
+    pub const fn resume(region: Option<u32>, shown: Option<[f32; 4]>) -> Self {
+        Self { region, shown }
+    }
+
     /// The region that it was in last.
     pub const fn region(&self) -> Option<u32> {
         self.region
     }
 
+    /// The coefficients that were shown last.
+    pub const fn coefficients(&self) -> Option<[f32; 4]> {
+        self.shown
+    }
+
     /// Moves it to a point, metres relative to the level's origin, `dt_secs` after the last call: finds its region,
     /// evaluates the engine's form of the model there, and blends with what was shown before. Gives linear coefficients
-    /// for [`crate::ao_linear`]; none, and no change, where the pack has no regions or the point is not finite.
+    /// for [`crate::ao_linear`]; none, and no change, where the pack has no regions or the point is not finite. An object
+    /// that is put elsewhere at once is a new one: else it fades from one place to the other.
     pub fn update(&mut self, pack: &Pack<'_>, point: [f32; 3], dt_secs: f32, blend: TemporalBlend) -> Option<[f32; 4]> {
         let hit = pack.region_at(point, self.region)?;
         let now = pack.engine_at(hit.region, point)?;

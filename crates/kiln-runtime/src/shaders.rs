@@ -1,7 +1,7 @@
 //! The same evaluation in shading languages, as text to include.
 //!
 //! WGSL is the source; `cargo xtask shaders` writes the others from it. Each function is tested against this crate's on a
-//! software Vulkan driver (`kiln-gpu`, `tests/runtime_shaders.rs`).
+//! software Vulkan driver (`kiln-gpu`, `tests/runtime_shaders`).
 
 /// WebGPU's language.
 pub const WGSL: &str = include_str!("../shaders/kiln_runtime.wgsl");

@@ -37,7 +37,7 @@ impl TemporalBlend {
         -libm::expm1f(-core::f32::consts::LN_2 * (dt_secs / self.half_time_secs))
     }
 
-    /// What is shown now: `previous` drawn towards `now`. A previous value that is not finite gives way to `now`.
+    /// What is shown now: `previous` drawn towards `now`. What is not finite gives way to what is.
     pub fn blend<const N: usize>(self, previous: [f32; N], now: [f32; N], dt_secs: f32) -> [f32; N] {
         let weight = self.weight(dt_secs);
         core::array::from_fn(|i| lerp(previous[i], now[i], weight))
@@ -45,7 +45,11 @@ impl TemporalBlend {
 }
 
 fn lerp(previous: f32, now: f32, weight: f32) -> f32 {
-    if previous.is_finite() && weight < 1.0 { previous + (now - previous) * weight } else { now }
+    match (previous.is_finite(), now.is_finite()) {
+        (true, true) if weight < 1.0 => previous + (now - previous) * weight,
+        (true, false) => previous,
+        _ => now,
+    }
 }
 
 #[cfg(test)]
@@ -74,6 +78,7 @@ mod tests {
         }
         assert_eq!(TemporalBlend { half_time_secs: f32::INFINITY }.weight(1.0), 0.0);
         assert_eq!(blend.blend([f32::NAN, f32::INFINITY], [0.25, 0.5], 0.0), [0.25, 0.5]);
+        assert_eq!(blend.blend([0.25, 0.5], [f32::NAN, f32::INFINITY], f32::INFINITY), [0.25, 0.5]);
     }
 
     proptest! {

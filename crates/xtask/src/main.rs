@@ -1,6 +1,9 @@
-//! Project chores: `cargo xtask tidy` and `cargo xtask licences`.
+//! Project chores; `cargo xtask` lists them.
 
+mod generated;
+mod header;
 mod licences;
+mod shaders;
 mod tidy;
 
 use anyhow::{Result, bail};
@@ -11,6 +14,13 @@ fn main() -> Result<()> {
     match words[..] {
         ["tidy"] => tidy::run(),
         ["licences"] => licences::run(),
-        _ => bail!("chores: tidy (sizes of files and functions), licences (of every dependency)"),
+        ["shaders"] => shaders::run(false),
+        ["shaders", "--check"] => shaders::run(true),
+        ["header"] => header::run(false),
+        ["header", "--check"] => header::run(true),
+        _ => bail!(
+            "chores: tidy (sizes of files and functions), licences (of every dependency), shaders (of kiln-runtime, from its WGSL), \
+             header (of kiln-runtime, for C); the last two with --check fail where what is kept is not current"
+        ),
     }
 }

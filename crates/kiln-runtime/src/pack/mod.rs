@@ -8,6 +8,8 @@ mod trees;
 mod vertices;
 
 pub use meta::{Kernel, Meta};
+#[cfg(feature = "write")]
+pub(crate) use regions::volume;
 pub use regions::{Region, RegionEdge};
 pub use sections::SectionSize;
 pub use trees::{Scalar, TreeBlock, TreeInstance, TreeModel, tree_ao};

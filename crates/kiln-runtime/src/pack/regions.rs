@@ -18,6 +18,8 @@ pub struct Region {
     pub model: u32,
     first_neighbour: u32,
     neighbour_count: u32,
+    /// How many of the first neighbours overlap it and are smaller.
+    inner_count: u32,
 }
 
 impl Region {
@@ -35,18 +37,21 @@ impl Region {
 
     /// Volume of the box, cubic metres.
     #[inline]
-    pub fn volume(&self) -> f32 {
-        (0..3).map(|i| self.max[i] - self.min[i]).product()
+    pub fn volume(&self) -> f64 {
+        volume(self.min, self.max)
     }
 
     #[inline]
     pub(crate) fn parse(record: &[u8]) -> Self {
+        // A whole record, so that the compiler sees that all of its fields are there.
+        let record = record.first_chunk().unwrap_or(&[0; region::BYTES]);
         Self {
             min: floats_at(record, region::MIN),
             max: floats_at(record, region::MAX),
             model: u32_at(record, region::MODEL),
             first_neighbour: u32_at(record, region::FIRST_NEIGHBOUR),
             neighbour_count: u32_at(record, region::NEIGHBOUR_COUNT),
+            inner_count: u32_at(record, region::INNER_COUNT),
         }
     }
 
@@ -54,6 +59,12 @@ impl Region {
     pub(super) fn neighbours(&self) -> (u64, u64) {
         (u64::from(self.first_neighbour), u64::from(self.first_neighbour) + u64::from(self.neighbour_count))
     }
+}
+
+/// Volume of a box, in f64: of floats no product overflows there, so that none is NaN.
+#[inline]
+pub(crate) fn volume(min: [f32; 3], max: [f32; 3]) -> f64 {
+    (0..3).map(|i| f64::from(max[i]) - f64::from(min[i])).product()
 }
 
 /// Two regions that touch or overlap.
@@ -104,12 +115,19 @@ impl<'a> Pack<'a> {
         (0..self.region_count()).find(|index| self.region_id(*index) == Some(id))
     }
 
-    /// Indices of the regions beside one.
+    /// Indices of the regions beside one: first those that overlap it and are smaller, then the others.
+    #[inline]
     pub fn neighbours(&self, region: &Region) -> impl Iterator<Item = u32> + use<'a> {
         let (first, end) = region.neighbours();
         let table = self.sections.get(SectionKind::RegionNeighbours);
         let listed = table.bytes().get(first as usize * 4..).and_then(|rest| rest.get(..(end - first) as usize * 4));
         listed.unwrap_or_default().chunks_exact(4).map(|index| u32_at(index, 0))
+    }
+
+    /// Indices of the regions that overlap one and are smaller.
+    #[inline]
+    pub(crate) fn inner(&self, region: &Region) -> impl Iterator<Item = u32> + use<'a> {
+        self.neighbours(region).take(region.inner_count as usize)
     }
 
     /// A boundary by its index, below [`Pack::count`] of [`SectionKind::RegionEdges`].

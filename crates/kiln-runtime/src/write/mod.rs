@@ -49,7 +49,7 @@ pub enum WriteError {
         kind: SectionKind,
     },
     /// What was written is no pack that a reader takes: numbers are not finite, indices do not exist, or things come twice.
-    #[error("the data cannot be written: {0}")]
+    #[error("what would be written is not what a reader takes: {0}")]
     Refused(PackError),
 }
 

@@ -1,12 +1,13 @@
 //! Records of each kind; their layout is `format.rs`.
 
 use super::{
-    EdgeData, ModelData, PackData, RegionsData, RemapData, ScalarData, TreeInstanceData, ValueData, WriteError,
-    sections::Section,
+    EdgeData, ModelData, PackData, RegionData, RegionsData, RemapData, ScalarData, TreeInstanceData, ValueData,
+    WriteError, sections::Section,
 };
 use crate::{
     format::{HARMONICS, MAX_CHANNELS, NONE, PARAMETERS, SectionKind, VALUES_ARE_F32, VALUES_ARE_U16},
     half,
+    pack::volume,
 };
 use alloc::vec::Vec;
 
@@ -78,6 +79,9 @@ struct Values {
     channels: usize,
 }
 
+/// Numbers of a primitive begin at multiples of this, so that they can be bound as vertex buffers where they are.
+const VALUES_ALIGNMENT: usize = 16;
+
 /// Where numbers were put.
 #[derive(Clone, Copy)]
 struct Place {
@@ -99,6 +103,7 @@ impl Values {
             ValueData::F32(_) => (&mut self.floats, VALUES_ARE_F32),
             ValueData::U16(_) => (&mut self.integers, VALUES_ARE_U16),
         };
+        section.align(VALUES_ALIGNMENT);
         let first = section.count() as u64;
         match values {
             ValueData::F32(values) => section.floats(values),
@@ -199,30 +204,51 @@ fn scalars(scalars: &[ScalarData], channels: usize) -> Result<Section, WriteErro
 fn regions(data: &RegionsData, channels: usize, strings: &mut Section) -> Result<[Section; 2], WriteError> {
     let kinds = [SectionKind::Regions, SectionKind::RegionNeighbours];
     let [mut regions, mut neighbours] = kinds.map(|kind| Section::new(kind, channels));
-    let beside = neighbours_of(&data.edges);
+    let beside = neighbours_of(data);
     for (index, region) in data.regions.iter().enumerate() {
-        let own = beside.partition_point(|pair| (pair[0] as usize) < index);
-        let own = beside[own..].iter().take_while(|pair| pair[0] as usize == index);
+        let own = beside.partition_point(|beside| (beside.of as usize) < index);
+        let own = beside[own..].iter().take_while(|beside| beside.of as usize == index);
         let first = neighbours.index()?;
-        own.for_each(|pair| neighbours.u32(pair[1]));
+        own.clone().for_each(|beside| neighbours.u32(beside.neighbour));
         regions.floats(&region.min);
         regions.u32(region.model);
         regions.floats(&region.max);
         text(&mut regions, strings, &region.id)?;
         regions.u32(first);
         regions.u32(neighbours.index()? - first);
+        regions.u32(own.filter(|beside| !beside.is_outer).count() as u32);
         regions.finish_record();
     }
     Ok([regions, neighbours])
 }
 
-/// Each pair of regions that touch, both ways, sorted.
-fn neighbours_of(edges: &[EdgeData]) -> Vec<[u32; 2]> {
+/// A region's neighbour. In the order in which neighbours are written.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Beside {
+    of: u32,
+    /// Whether it does not overlap the region, or is not smaller.
+    is_outer: bool,
+    neighbour: u32,
+}
+
+/// Each pair of regions that touch, both ways, in order.
+fn neighbours_of(data: &RegionsData) -> Vec<Beside> {
+    let beside = |[of, neighbour]: [u32; 2]| Beside { of, is_outer: !is_inner(data, of, neighbour), neighbour };
     let both = |edge: &EdgeData| [edge.regions, [edge.regions[1], edge.regions[0]]];
-    let mut pairs: Vec<[u32; 2]> = edges.iter().flat_map(both).collect();
+    let mut pairs: Vec<Beside> = data.edges.iter().flat_map(both).map(beside).collect();
     pairs.sort_unstable();
     pairs.dedup();
     pairs
+}
+
+/// Whether a neighbour's box overlaps a region's by more than a face, and comes before it where a point is in both.
+fn is_inner(data: &RegionsData, of: u32, neighbour: u32) -> bool {
+    let both = [of, neighbour].map(|index| data.regions.get(index as usize));
+    // Indices that do not exist are found by who reads the pack.
+    let [Some(region), Some(other)] = both else { return false };
+    let overlap = (0..3).all(|i| region.min[i].max(other.min[i]) < region.max[i].min(other.max[i]));
+    let rank = |index, region: &RegionData| (volume(region.min, region.max), index);
+    overlap && rank(neighbour, other) < rank(of, region)
 }
 
 fn edges(edges: &[EdgeData], channels: usize) -> Section {

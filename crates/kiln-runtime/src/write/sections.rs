@@ -52,7 +52,12 @@ impl Section {
 
     /// Zeros up to the end of the record.
     pub(super) fn finish_record(&mut self) {
-        self.bytes.resize(self.bytes.len().next_multiple_of(self.stride), 0);
+        self.align(self.stride);
+    }
+
+    /// Zeros up to a multiple of some bytes.
+    pub(super) fn align(&mut self, bytes: usize) {
+        self.bytes.resize(self.bytes.len().next_multiple_of(bytes), 0);
     }
 }
 

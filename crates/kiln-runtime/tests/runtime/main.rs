@@ -8,6 +8,7 @@ mod damage;
 #[path = "../../fuzz/exercise.rs"]
 mod exercise;
 mod layout;
+mod lookup;
 mod moving;
 mod round_trip;
 mod sample;
