@@ -6,8 +6,9 @@
 //! in which the points do not spread nothing else would hold a model. Sums are over all harmonics of all channels, by 4π.
 //!
 //! Block coordinate descent: the best model of one region, given its neighbours, is a system of seven unknowns, the same for
-//! all harmonics. Columns that the fit froze stay as they are, and centres too. Where the best model would overshoot (`bound`), a
-//! channel goes as far towards it as it may; on that line E falls all the way, so E never rises.
+//! all harmonics. Columns that the fit froze stay as they are, and centres too. Where the best model would overshoot (`bound`), it is moved
+//! until it does not, if that still lowers E, and a channel goes as far towards it as it may; on that line E falls all the way, so E
+//! never rises.
 //!
 //! Regions of one colour do not touch, so that doing them in parallel is doing them in turn.
 
@@ -20,7 +21,7 @@ use super::{
     harmonics::SPHERE,
     moments::Moments,
     points::RegionPoints,
-    ridge::{RIDGE, Square, apply, dot},
+    ridge::{Square, apply, dot, ridge},
 };
 use kiln_core::{REGION_HARMONICS, REGION_PARAMETERS, RegionEdge};
 use rayon::prelude::*;
@@ -114,7 +115,9 @@ struct Block {
     original: Vec<Parameters>,
     current: Vec<Parameters>,
     metric: Square<REGION_PARAMETERS>,
-    factor: Cholesky<REGION_PARAMETERS>,
+    /// Of the block's terms of E, with zeros for what is frozen, and its inverse.
+    system: Square<REGION_PARAMETERS>,
+    inverse: Square<REGION_PARAMETERS>,
     frozen: [bool; REGION_PARAMETERS],
     links: Vec<Link>,
     limits: Limits,
@@ -210,7 +213,7 @@ impl Block {
     fn new(points: &RegionPoints, fit: &RegionFit, links: Vec<Link>, norm: SmoothNorm) -> Self {
         let frozen: [bool; REGION_PARAMETERS] = std::array::from_fn(|i| i > 0 && fit.frozen[i - 1]);
         let metric = match norm {
-            SmoothNorm::Points => mean_squares(&Moments::new(points, &fit.scale, fit.center)),
+            SmoothNorm::Points => Moments::new(points, &fit.scale, fit.center).mean_squares(ridge(points.len())),
             SmoothNorm::Coefficients => per_metre(fit),
         };
         let mut system = metric;
@@ -224,7 +227,8 @@ impl Block {
             original: fit.parameters.clone(),
             current: fit.parameters.clone(),
             metric,
-            factor: Cholesky::new(&system),
+            inverse: Cholesky::new(&system).invert(),
+            system,
             frozen,
             links,
             limits: Limits::new(points, &fit.scale, fit.center),
@@ -255,11 +259,30 @@ impl Block {
         let (mut next, mut is_held) = (Vec::with_capacity(wanted.len()), false);
         let channels = self.current.chunks(REGION_HARMONICS).zip(wanted.chunks(REGION_HARMONICS));
         for (channel, (from, to)) in channels.enumerate() {
-            let part = self.limits.part_of_way(channel, from, to);
-            is_held |= part < 1.0;
-            next.extend(from.iter().zip(to).map(|(from, to)| on_the_way(from, to, part)));
+            let allowed = self.allowed(channel, from, to);
+            is_held |= allowed != to;
+            next.extend(allowed);
         }
         Some((next, is_held))
+    }
+
+    /// A model of one channel that does not overshoot, and of no more E than the current one, where the best one would be `to`.
+    fn allowed(&self, channel: usize, from: &[Parameters], to: &[Parameters]) -> Vec<Parameters> {
+        let mut pulled = to.to_vec();
+        self.limits.pull(channel, &mut pulled, &self.inverse);
+        // E rises with the distance from its least.
+        let distance = |other: &[Parameters]| -> f64 {
+            let of_harmonic = |(a, b): (&Parameters, &Parameters)| {
+                let difference = difference(a, b);
+                dot(&difference, &apply(&self.system, &difference))
+            };
+            to.iter().zip(other).map(of_harmonic).sum()
+        };
+        if distance(&pulled) > distance(from) {
+            pulled.copy_from_slice(to);
+        }
+        let part = self.limits.part_of_way(channel, from, &pulled);
+        from.iter().zip(&pulled).map(|(from, to)| on_the_way(from, to, part)).collect()
     }
 
     /// The least E of one harmonic, by its gradient at the current model.
@@ -271,7 +294,7 @@ impl Block {
             (0..REGION_PARAMETERS).for_each(|i| right[i] -= pull * link.own[i]);
         }
         (0..REGION_PARAMETERS).filter(|i| self.frozen[*i]).for_each(|i| right[i] = 0.0);
-        let step = self.factor.solve(right);
+        let step = apply(&self.inverse, &right);
         std::array::from_fn(|i| current[i] + step[i])
     }
 }
@@ -286,18 +309,6 @@ fn difference(a: &Parameters, b: &Parameters) -> Parameters {
 
 fn on_the_way(from: &Parameters, to: &Parameters, part: f64) -> Parameters {
     if part == 1.0 { *to } else { std::array::from_fn(|i| from[i] + part * (to[i] - from[i])) }
-}
-
-/// Means over the points of products of 1 and the columns, with the ridge.
-fn mean_squares(moments: &Moments) -> Square<REGION_PARAMETERS> {
-    let (means, covariance) = (moments.means(), moments.covariance());
-    let mean = |i: usize| if i == 0 { 1.0 } else { means[i - 1] };
-    std::array::from_fn(|i| {
-        std::array::from_fn(|j| {
-            let spread = if i > 0 && j > 0 { covariance[i - 1][j - 1] } else { 0.0 };
-            mean(i) * mean(j) + spread + if i == j && i > 0 { RIDGE } else { 0.0 }
-        })
-    })
 }
 
 /// Squares of the constant and of slopes per metre.
