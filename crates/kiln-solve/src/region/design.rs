@@ -19,11 +19,11 @@ pub(crate) enum Design {
 
 impl Design {
     /// The inverse by which slopes are found ([`inverse`]), as one of six columns.
-    pub(crate) fn inverse(self, covariance: &Square<SIDES>, ridge: f64) -> Square<SIDES> {
+    pub(crate) fn inverse(self, covariance: &Square<SIDES>) -> Square<SIDES> {
         match self {
             Self::Constant => [[0.0; SIDES]; SIDES],
-            Self::Gradient => grouped::<SIDES, 3>(covariance, |i| i / 2, |matrix| inverse(matrix, ridge)),
-            Self::Sides => inverse(covariance, ridge),
+            Self::Gradient => grouped::<SIDES, 3>(covariance, |i| i / 2, inverse),
+            Self::Sides => inverse(covariance),
         }
     }
 
@@ -78,7 +78,7 @@ mod tests {
         let mut covariance = [[0.0; 6]; 6];
         let entries = [(0, 0, 0.1), (1, 1, 0.2), (0, 1, 0.05), (1, 0, 0.05)];
         entries.into_iter().for_each(|(i, j, value)| covariance[i][j] = value);
-        let inverse = Design::Gradient.inverse(&covariance, 1e-3);
+        let inverse = Design::Gradient.inverse(&covariance);
         let expected = 1.0 / 0.4;
         assert!((inverse[0][1] - expected).abs() < 1e-9 && inverse[0][0] == inverse[1][1] && inverse[2][2] == 0.0);
     }

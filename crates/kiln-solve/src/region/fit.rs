@@ -6,7 +6,7 @@ use super::{
     grid::Scale,
     moments::{Moments, SIDES, sides},
     points::RegionPoints,
-    ridge::{apply, dot, frozen, ridge},
+    ridge::{apply, dot, frozen},
     search::search,
 };
 use glam::DVec3;
@@ -52,9 +52,9 @@ pub struct RegionFit {
     pub(crate) is_refined: bool,
 }
 
-/// Fits a model by least squares over the points. Slopes have a ridge, 10⁻³ of the number of points or more if
-/// there are few, in a box scaled to [−1, 1]³; its bias is taken out where the points determine a slope. Slopes that nothing determines are 0; without points
-/// the model is open sky. Where AO would overshoot by more than 0.1 the fit is moved until it does not.
+/// Fits a model by least squares over the points. Slopes have a ridge, 10⁻³ of the number of points in a box scaled to
+/// [−1, 1]³; its bias is taken out where the points determine a slope. Slopes that nothing determines are 0; without
+/// points the model is open sky. Where AO would overshoot by more than 0.1 the fit is moved until it does not.
 ///
 /// Errors by which rules compare are those after that.
 pub fn fit_region(points: &RegionPoints, rule: CenterRule) -> RegionFit {
@@ -86,14 +86,13 @@ fn refined(points: &RegionPoints) -> RegionFit {
 impl RegionFit {
     fn new(points: &RegionPoints, center: [f64; 3], design: Design) -> Self {
         let moments = Moments::new(points, &points.scale, center);
-        let ridge = ridge(points.len());
-        let (inverse, means) = (design.inverse(&moments.covariance(), ridge), moments.means());
+        let (inverse, means) = (design.inverse(&moments.covariance()), moments.means());
         let best = |k: usize| {
             let slopes = apply(&inverse, &moments.right(k));
             with_constant(points.mean[k] - dot(&slopes, &means), slopes)
         };
         let mut parameters: Vec<_> = (0..points.mean.len()).map(best).collect();
-        let norm = || design.norm_inverse(&moments.mean_squares(ridge));
+        let norm = || design.norm_inverse(&moments.mean_squares());
         let is_shrunk = Limits::new(points, &points.scale, center).shrink(&points.mean, &mut parameters, norm);
         Self {
             scale: points.scale,

@@ -8,7 +8,7 @@
 use super::{
     grid::{Grid, PAIRS, SLABS, Scale},
     points::RegionPoints,
-    ridge::{Square, frozen},
+    ridge::{RIDGE, Square, frozen},
 };
 use kiln_core::REGION_PARAMETERS;
 
@@ -128,8 +128,8 @@ impl Moments {
         std::array::from_fn(|i| std::array::from_fn(|j| self.gram[i][j]))
     }
 
-    /// Means over the points of products of 1 and the columns of the slopes, with a ridge on slopes. Frozen columns are 0.
-    pub(crate) fn mean_squares(&self, ridge: f64) -> Square<REGION_PARAMETERS> {
+    /// Means over the points of products of 1 and the columns of the slopes, with the ridge on slopes. Frozen columns are 0.
+    pub(crate) fn mean_squares(&self) -> Square<REGION_PARAMETERS> {
         let frozen = frozen(&self.covariance());
         let entry = |i: usize, j: usize| match (i, j) {
             (0, 0) => 1.0,
@@ -141,7 +141,7 @@ impl Moments {
                 }
             }
             _ if frozen[i - 1] || frozen[j - 1] => 0.0,
-            _ => self.gram[i - 1][j - 1] + self.mean[i - 1] * self.mean[j - 1] + if i == j { ridge } else { 0.0 },
+            _ => self.gram[i - 1][j - 1] + self.mean[i - 1] * self.mean[j - 1] + if i == j { RIDGE } else { 0.0 },
         };
         std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)))
     }

@@ -9,7 +9,7 @@ use super::{
     cholesky::Cholesky,
     moments::{Moments, SIDES},
     points::RegionPoints,
-    ridge::{Square, apply, dot, doubled, inverse, ridge},
+    ridge::{Square, apply, dot, doubled, inverse},
 };
 
 /// Between the slabs of a grid, scaled.
@@ -39,7 +39,7 @@ impl Trial {
     fn new(points: &RegionPoints, center: [f64; 3]) -> Self {
         let moments = Moments::new(points, &points.scale, center);
         let covariance = moments.covariance();
-        let inverse = inverse(&covariance, ridge(points.len()));
+        let inverse = inverse(&covariance);
         let gain = doubled(&covariance, &inverse);
         let of_harmonic = |k: usize| {
             let right = moments.right(k);

@@ -21,7 +21,7 @@ use super::{
     harmonics::SPHERE,
     moments::Moments,
     points::RegionPoints,
-    ridge::{Square, apply, dot, ridge},
+    ridge::{Square, apply, dot},
 };
 use kiln_core::{REGION_HARMONICS, REGION_PARAMETERS, RegionEdge};
 use rayon::prelude::*;
@@ -213,7 +213,7 @@ impl Block {
     fn new(points: &RegionPoints, fit: &RegionFit, links: Vec<Link>, norm: SmoothNorm) -> Self {
         let frozen: [bool; REGION_PARAMETERS] = std::array::from_fn(|i| i > 0 && fit.frozen[i - 1]);
         let metric = match norm {
-            SmoothNorm::Points => Moments::new(points, &fit.scale, fit.center).mean_squares(ridge(points.len())),
+            SmoothNorm::Points => Moments::new(points, &fit.scale, fit.center).mean_squares(),
             SmoothNorm::Coefficients => per_metre(fit),
         };
         let mut system = metric;
