@@ -17,7 +17,7 @@ use super::{
     points::RegionPoints,
     ridge::{Square, apply, dot},
 };
-use kiln_core::{Bounds, REGION_HARMONICS, REGION_PARAMETERS};
+use kiln_core::{Bounds, REGION_PARAMETERS};
 
 /// By how much AO may leave the range of the points' AO.
 const OVERSHOOT: f64 = 0.1;
@@ -74,7 +74,7 @@ impl Limits {
 
     /// Moves the nine harmonics of one channel to where they overshoot less, by the shortest ways in the norm whose matrix has
     /// this inverse.
-    pub(crate) fn pull(&self, channel: usize, parameters: &mut [Parameters], inverse: &Square<REGION_PARAMETERS>) {
+    fn pull(&self, channel: usize, parameters: &mut [Parameters], inverse: &Square<REGION_PARAMETERS>) {
         for _ in 0..MOST_PULLS {
             let Some((normal, beyond, offset)) = self.worst(channel, parameters) else { break };
             let columns = with_constant(1.0, sides(offset));
@@ -100,50 +100,56 @@ impl Limits {
         worst
     }
 
-    /// Keeps all channels from overshooting, with means of the points that do not, and says whether one had to be. The inverse is
-    /// that of [`Self::pull`].
-    pub(crate) fn shrink(
+    /// A model of one channel that does not overshoot, where the best would be `to` and `from` does not. No further from the best than
+    /// `from` is, in the norm given.
+    pub(crate) fn towards(
         &self,
-        means: &[f64],
-        parameters: &mut [Parameters],
-        inverse: impl Fn() -> Square<REGION_PARAMETERS>,
-    ) -> bool {
-        let mut is_shrunk = false;
-        let channels = means.chunks(REGION_HARMONICS).zip(parameters.chunks_mut(REGION_HARMONICS));
-        for (channel, (means, parameters)) in channels.enumerate() {
-            if !is_within(&self.allowed[channel], &self.range(parameters)) {
-                self.pull(channel, parameters, &inverse());
-                self.shrink_rest(channel, means, parameters);
-                is_shrunk = true;
-            }
+        channel: usize,
+        from: &[Parameters],
+        to: &[Parameters],
+        norm: &Norm,
+    ) -> Vec<Parameters> {
+        let mut found = to.to_vec();
+        if self.is_within(channel, to) {
+            return found;
         }
-        is_shrunk
+        self.pull(channel, &mut found, &norm.inverse);
+        if norm.distance(&found, to) > norm.distance(from, to) {
+            found.copy_from_slice(to);
+        }
+        let part = self.part_of_way(channel, from, &found);
+        let on_the_way =
+            |from: &Parameters, to: &Parameters| std::array::from_fn(|i| from[i] + part * (to[i] - from[i]));
+        from.iter().zip(&found).map(|(from, to)| on_the_way(from, to)).collect()
     }
 
-    /// Goes towards the means until nothing of one channel overshoots. On the way all of AO changes linearly.
-    fn shrink_rest(&self, channel: usize, means: &[f64], parameters: &mut [Parameters]) {
-        let allowed = &self.allowed[channel];
-        for ([constant, ..], mean) in parameters.iter_mut().zip(means) {
-            *constant -= mean;
-        }
-        let from = at_axes(|k| means[k]).map(|ao| [ao, ao]);
-        let change = self.range(parameters);
-        let to = std::array::from_fn(|n| [0, 1].map(|side| from[n][side] + change[n][side]));
-        let part = least_part(allowed, &from, &to);
-        for (parameters, mean) in parameters.iter_mut().zip(means) {
-            parameters.iter_mut().for_each(|parameter| *parameter *= part);
-            parameters[0] += mean;
-        }
+    pub(crate) fn is_within(&self, channel: usize, parameters: &[Parameters]) -> bool {
+        let allowed = self.allowed[channel].iter().zip(self.range(parameters));
+        allowed.into_iter().all(|(allowed, range)| allowed[0] <= range[0] && range[1] <= allowed[1])
     }
 
     /// The part t ≤ 1 of the way from one model to another, of one channel, on which nothing overshoots, where the first
-    /// does not. What is reached is convex in t, so that a chord bounds it: t may be less than the greatest.
-    pub(crate) fn part_of_way(&self, channel: usize, from: &[Parameters], to: &[Parameters]) -> f64 {
-        let to = self.range(to);
-        if is_within(&self.allowed[channel], &to) {
-            return 1.0;
-        }
-        least_part(&self.allowed[channel], &self.range(from), &to)
+    /// does not. What is reached is convex in t, so that a chord bounds it: t may be less than the greatest, but not from constants.
+    fn part_of_way(&self, channel: usize, from: &[Parameters], to: &[Parameters]) -> f64 {
+        least_part(&self.allowed[channel], &self.range(from), &self.range(to))
+    }
+}
+
+/// The norm in which a channel is near to its best: a matrix for the parameters of each harmonic.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Norm {
+    pub(crate) matrix: Square<REGION_PARAMETERS>,
+    /// 0 for what is not free.
+    pub(crate) inverse: Square<REGION_PARAMETERS>,
+}
+
+impl Norm {
+    fn distance(&self, a: &[Parameters], b: &[Parameters]) -> f64 {
+        let of_harmonic = |(a, b): (&Parameters, &Parameters)| {
+            let difference: Parameters = std::array::from_fn(|i| a[i] - b[i]);
+            dot(&difference, &apply(&self.matrix, &difference))
+        };
+        a.iter().zip(b).map(of_harmonic).sum()
     }
 }
 
@@ -175,10 +181,6 @@ fn along([start, end]: [f64; 2], plus: f64, minus: f64, sign: f64) -> [f64; 2] {
 /// All parameters, or columns, from that of the constant and those of slopes.
 pub(crate) fn with_constant(constant: f64, [a, b, c, d, e, f]: [f64; SIDES]) -> Parameters {
     [constant, a, b, c, d, e, f]
-}
-
-fn is_within(allowed: &Range, range: &Range) -> bool {
-    allowed.iter().zip(range).all(|(allowed, range)| allowed[0] <= range[0] && range[1] <= allowed[1])
 }
 
 /// The greatest t in [0, 1] with `from + t (to − from)` allowed at both ends of each range.

@@ -1,6 +1,7 @@
 //! Which slopes of a model are free: all six, one for each axis, or none.
 
 use super::{
+    bound::Norm,
     cholesky::Cholesky,
     moments::SIDES,
     ridge::{Square, inverse},
@@ -27,13 +28,16 @@ impl Design {
         }
     }
 
-    /// The inverse of a norm of all parameters in which the free ones alone can change.
-    pub(crate) fn norm_inverse(self, norm: &Square<REGION_PARAMETERS>) -> Square<REGION_PARAMETERS> {
-        match self {
-            Self::Constant => constant(norm[0][0]),
-            Self::Gradient => grouped::<REGION_PARAMETERS, 4>(norm, |i| i.div_ceil(2), |m| Cholesky::new(m).invert()),
-            Self::Sides => Cholesky::new(norm).invert(),
-        }
+    /// The norm of all parameters in which the free ones alone can change.
+    pub(crate) fn norm(self, matrix: Square<REGION_PARAMETERS>) -> Norm {
+        let inverse = match self {
+            Self::Constant => constant(matrix[0][0]),
+            Self::Gradient => {
+                grouped::<REGION_PARAMETERS, 4>(&matrix, |i| i.div_ceil(2), |matrix| Cholesky::new(matrix).invert())
+            }
+            Self::Sides => Cholesky::new(&matrix).invert(),
+        };
+        Norm { matrix, inverse }
     }
 }
 
@@ -65,11 +69,11 @@ mod tests {
     #[test]
     fn a_gradient_is_the_same_on_both_sides() {
         let norm = std::array::from_fn(|i| std::array::from_fn(|j| if i == j { 1.0 + i as f64 } else { 0.1 }));
-        let inverse = Design::Gradient.norm_inverse(&norm);
+        let inverse = Design::Gradient.norm(norm).inverse;
         for row in inverse {
             assert!(row[1] == row[2] && row[3] == row[4] && row[5] == row[6] && row[1] != row[3], "{row:?}");
         }
-        let none = Design::Constant.norm_inverse(&norm);
+        let none = Design::Constant.norm(norm).inverse;
         assert_eq!((none[0][0], none[1]), (1.0, [0.0; 7]));
     }
 

@@ -1,7 +1,7 @@
 //! Fits of seven parameters to the points of a region, by rules for the centre.
 
 use super::{
-    bound::{Limits, with_constant},
+    bound::{Limits, Norm, with_constant},
     design::Design,
     grid::Scale,
     moments::{Moments, SIDES, sides},
@@ -10,7 +10,7 @@ use super::{
     search::search,
 };
 use glam::DVec3;
-use kiln_core::{REGION_PARAMETERS, RegionModel};
+use kiln_core::{REGION_HARMONICS, REGION_PARAMETERS, RegionModel};
 
 /// Where a model's centre is, or what simpler model is meant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,6 +83,25 @@ fn refined(points: &RegionPoints) -> RegionFit {
     if found.total_error() < WORTH * best.total_error() { RegionFit { is_refined: true, ..found } } else { best }
 }
 
+/// The best parameters, or where these would overshoot others that do not; the means alone do not.
+fn bounded(
+    points: &RegionPoints,
+    center: [f64; 3],
+    best: &[[f64; REGION_PARAMETERS]],
+    norm: impl Fn() -> Norm,
+) -> Vec<[f64; REGION_PARAMETERS]> {
+    let limits = Limits::new(points, &points.scale, center);
+    let of_channel = |(channel, best): (usize, &[[f64; REGION_PARAMETERS]])| {
+        if limits.is_within(channel, best) {
+            return best.to_vec();
+        }
+        let means = &points.mean[channel * REGION_HARMONICS..][..REGION_HARMONICS];
+        let constant: Vec<_> = means.iter().map(|mean| with_constant(*mean, [0.0; SIDES])).collect();
+        limits.towards(channel, &constant, best, &norm())
+    };
+    best.chunks(REGION_HARMONICS).enumerate().flat_map(of_channel).collect()
+}
+
 impl RegionFit {
     fn new(points: &RegionPoints, center: [f64; 3], design: Design) -> Self {
         let moments = Moments::new(points, &points.scale, center);
@@ -91,16 +110,15 @@ impl RegionFit {
             let slopes = apply(&inverse, &moments.right(k));
             with_constant(points.mean[k] - dot(&slopes, &means), slopes)
         };
-        let mut parameters: Vec<_> = (0..points.mean.len()).map(best).collect();
-        let norm = || design.norm_inverse(&moments.mean_squares());
-        let is_shrunk = Limits::new(points, &points.scale, center).shrink(&points.mean, &mut parameters, norm);
+        let best: Vec<_> = (0..points.mean.len()).map(best).collect();
+        let parameters = bounded(points, center, &best, || design.norm(moments.mean_squares()));
         Self {
             scale: points.scale,
             center,
             frozen: frozen(&moments.covariance()),
             squared_errors: points.squared_errors_by(&moments, &parameters),
+            is_shrunk: parameters != best,
             parameters,
-            is_shrunk,
             is_refined: false,
         }
     }

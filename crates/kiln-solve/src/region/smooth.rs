@@ -13,7 +13,7 @@
 //! Regions of one colour do not touch, so that doing them in parallel is doing them in turn.
 
 use super::{
-    bound::Limits,
+    bound::{Limits, Norm},
     boundaries::Boundaries,
     cholesky::Cholesky,
     error::{RegionError, check_length, check_setting},
@@ -116,8 +116,7 @@ struct Block {
     current: Vec<Parameters>,
     metric: Square<REGION_PARAMETERS>,
     /// Of the block's terms of E, with zeros for what is frozen, and its inverse.
-    system: Square<REGION_PARAMETERS>,
-    inverse: Square<REGION_PARAMETERS>,
+    system: Norm,
     frozen: [bool; REGION_PARAMETERS],
     links: Vec<Link>,
     limits: Limits,
@@ -227,8 +226,7 @@ impl Block {
             original: fit.parameters.clone(),
             current: fit.parameters.clone(),
             metric,
-            inverse: Cholesky::new(&system).invert(),
-            system,
+            system: Norm { inverse: Cholesky::new(&system).invert(), matrix: system },
             frozen,
             links,
             limits: Limits::new(points, &fit.scale, fit.center),
@@ -259,30 +257,12 @@ impl Block {
         let (mut next, mut is_held) = (Vec::with_capacity(wanted.len()), false);
         let channels = self.current.chunks(REGION_HARMONICS).zip(wanted.chunks(REGION_HARMONICS));
         for (channel, (from, to)) in channels.enumerate() {
-            let allowed = self.allowed(channel, from, to);
+            // E rises with the distance from its least, so that it falls on the way.
+            let allowed = self.limits.towards(channel, from, to, &self.system);
             is_held |= allowed != to;
             next.extend(allowed);
         }
         Some((next, is_held))
-    }
-
-    /// A model of one channel that does not overshoot, and of no more E than the current one, where the best one would be `to`.
-    fn allowed(&self, channel: usize, from: &[Parameters], to: &[Parameters]) -> Vec<Parameters> {
-        let mut pulled = to.to_vec();
-        self.limits.pull(channel, &mut pulled, &self.inverse);
-        // E rises with the distance from its least.
-        let distance = |other: &[Parameters]| -> f64 {
-            let of_harmonic = |(a, b): (&Parameters, &Parameters)| {
-                let difference = difference(a, b);
-                dot(&difference, &apply(&self.system, &difference))
-            };
-            to.iter().zip(other).map(of_harmonic).sum()
-        };
-        if distance(&pulled) > distance(from) {
-            pulled.copy_from_slice(to);
-        }
-        let part = self.limits.part_of_way(channel, from, &pulled);
-        from.iter().zip(&pulled).map(|(from, to)| on_the_way(from, to, part)).collect()
     }
 
     /// The least E of one harmonic, by its gradient at the current model.
@@ -294,7 +274,7 @@ impl Block {
             (0..REGION_PARAMETERS).for_each(|i| right[i] -= pull * link.own[i]);
         }
         (0..REGION_PARAMETERS).filter(|i| self.frozen[*i]).for_each(|i| right[i] = 0.0);
-        let step = apply(&self.inverse, &right);
+        let step = apply(&self.system.inverse, &right);
         std::array::from_fn(|i| current[i] + step[i])
     }
 }
@@ -305,10 +285,6 @@ fn pairs() -> impl Iterator<Item = (usize, usize)> {
 
 fn difference(a: &Parameters, b: &Parameters) -> Parameters {
     std::array::from_fn(|i| a[i] - b[i])
-}
-
-fn on_the_way(from: &Parameters, to: &Parameters, part: f64) -> Parameters {
-    if part == 1.0 { *to } else { std::array::from_fn(|i| from[i] + part * (to[i] - from[i])) }
 }
 
 /// Squares of the constant and of slopes per metre.
