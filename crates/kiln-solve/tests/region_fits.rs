@@ -69,6 +69,20 @@ fn a_centre_is_found() {
     }
 }
 
+/// Box and model as far away as a level may be; positions are f64.
+#[test]
+fn distance_from_the_origin_changes_nothing() {
+    let far = DVec3::new(1.0e6, -3.0e6, 2.0e5);
+    let moved = region((hall().bounds.min + far).to_array(), (hall().bounds.max + far).to_array());
+    let valid = bits(|i| i % 3 > 0);
+    let near = fit_region(&points(&hall(), &valid, 1, |p, k| uneven(4, p, k)), CenterRule::Refined);
+    let fit = fit_region(&points(&moved, &valid, 1, |p, k| uneven(4, p - far, k)), CenterRule::Refined);
+    assert!(fit.center().distance(near.center() + far) < 1e-4);
+    for (a, b) in fit.model().coefficients.iter().zip(near.model().coefficients) {
+        assert!((0..7).all(|i| (a[i] - b[i]).abs() < 1e-5), "{a:?} {b:?}");
+    }
+}
+
 #[test]
 fn a_gradient_is_no_more_than_a_gradient() {
     let region = hall();
