@@ -34,6 +34,34 @@ fn the_best_predictor_absorbs() {
 }
 
 #[test]
+fn what_is_merged_is_fitted_to_all_its_points() {
+    let halves = [region([0.0, 0.0, 0.0], [4.0, 4.0, 3.0]), region([4.0, 1.0, -1.0], [7.0, 4.0, 3.0])];
+    let valid = [bits(|i| i % 3 > 0), bits(|i| i % 5 > 2)];
+    let merged = |f: &dyn Fn(DVec3, usize) -> f64| {
+        let [mut both, other] = [0, 1].map(|r| points(&halves[r], &valid[r], 2, f));
+        both.merge(&other);
+        both
+    };
+    // The box of both is what is scaled to.
+    let hull = region([0.0, 0.0, -1.0], [7.0, 4.0, 3.0]);
+    let known = Known::new(&hull, hull.bounds.center(), 3);
+    let fit = fit_region(&merged(&|p, k| known.at(p, k)), CenterRule::Box).model();
+    for (found, known) in fit.coefficients.iter().zip(&known.parameters) {
+        assert!((0..7).all(|i| (f64::from(found[i]) - known[i]).abs() < 1e-5), "{found:?} {known:?}");
+    }
+    let fit = fit_region(&merged(&|p, k| uneven(7, p, k)), CenterRule::Refined);
+    let mut direct = [0.0; 2];
+    for (half, valid) in halves.iter().zip(&valid) {
+        for point in valid.iter().map(|index| half.candidate(index)) {
+            let squares = fit.at(point).enumerate().map(|(k, v)| (f64::from(uneven(7, point, k) as f32) - v).powi(2));
+            squares.enumerate().for_each(|(k, square)| direct[k / 9] += square / (4.0 * std::f64::consts::PI));
+        }
+    }
+    let found = fit.squared_errors();
+    assert!((0..2).all(|c| (found[c] - direct[c]).abs() < 1e-9), "{found:?} {direct:?}");
+}
+
+#[test]
 fn ties_go_to_the_larger_boundary_then_the_lower_index() {
     let (mut regions, points) = chain(&[512, 2, 512], &[0.5; 3]);
     assert!(regions.edges[0].area_m2 < regions.edges[1].area_m2);

@@ -165,6 +165,40 @@ fn smoothing_does_not_overshoot() {
     assert!(models.summary.held == 2 && models.summary.errors[0].jump_smoothed < 0.65, "{:?}", models.summary);
 }
 
+/// Two rooms of one point each have no slopes: `(x − a)² + (y − b)² + 2β (x − y)²` is least where the jump is
+/// `(a − b) / (1 + 4β)`, whatever the area.
+#[test]
+fn two_constants_meet_where_they_should() {
+    let regions = row(2, 0.0);
+    let of_room = |r: usize| points(&regions.regions[r], &bits(|i| i == 77), 1, flat([0.5, 0.6][r]));
+    let points = [of_room(0), of_room(1)];
+    for smoothing in [0.1, 1.0, 7.0] {
+        let mut fits = points.each_ref().map(|points| fit_region(points, CenterRule::Best));
+        let params = SmoothParams { smoothing, sweeps: 500, tolerance: 0.0, norm: SmoothNorm::Points };
+        let how = smooth(&points, &mut fits, &regions.edges, &params).unwrap();
+        let (jump, expected) = (jumps(&fits, &regions.edges)[0], 0.1 / (1.0 + 4.0 * smoothing));
+        assert!((jump - expected).abs() < 1e-6 && how.held == 0, "{smoothing}: {jump} {expected}");
+        let moved = 0.05 - 0.5 * expected;
+        let energy = 2.0 * moved * moved + 2.0 * smoothing * expected * expected;
+        assert!((how.energy[how.energy.len() - 1] - energy).abs() < 1e-8, "{how:?} {energy}");
+    }
+}
+
+/// In the norm of coefficients a slope of a long box costs next to nothing; in that of points its values do.
+#[test]
+fn the_norm_of_points_values_long_slopes() {
+    let regions = [region([0.0; 3], [40.0, 4.0, 3.0]), region([40.0, 0.0, 0.0], [80.0, 4.0, 3.0])];
+    let edges = [RegionEdge { regions: [0, 1], area_m2: 12.0, center: DVec3::new(40.0, 2.0, 1.5) }];
+    let points = [0, 1].map(|r| points(&regions[r], &CandidateBits::ALL, 1, flat([0.5, 0.6][r])));
+    let slope = |norm| {
+        let mut fits = points.each_ref().map(|points| fit_region(points, CenterRule::Box));
+        smooth(&points, &mut fits, &edges, &params(0.05, norm)).unwrap();
+        fits[0].model().coefficients[0][1]
+    };
+    let [of_points, of_coefficients] = [SmoothNorm::Points, SmoothNorm::Coefficients].map(slope);
+    assert!(0.0 < of_points && 1.5 * of_points < of_coefficients, "{of_points} {of_coefficients}");
+}
+
 #[test]
 fn frozen_slopes_stay_frozen() {
     let regions = row(3, 1.0);

@@ -1,15 +1,16 @@
 //! Fits of seven parameters to the points of a region, by rules for the centre.
 
 use super::{
-    bound::Limits,
+    bound::{Limits, Norm, with_constant},
+    design::Design,
     grid::Scale,
     moments::{Moments, SIDES, sides},
     points::RegionPoints,
-    ridge::{Square, apply, dot, frozen, inverse},
+    ridge::{apply, dot, frozen},
     search::search,
 };
 use glam::DVec3;
-use kiln_core::{REGION_PARAMETERS, RegionModel};
+use kiln_core::{REGION_HARMONICS, REGION_PARAMETERS, RegionModel};
 
 /// Where a model's centre is, or what simpler model is meant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -47,32 +48,28 @@ pub struct RegionFit {
     pub(crate) parameters: Vec<[f64; REGION_PARAMETERS]>,
     pub(crate) frozen: [bool; SIDES],
     pub(crate) squared_errors: Vec<f64>,
-    pub(crate) part: f64,
+    pub(crate) is_shrunk: bool,
     pub(crate) is_refined: bool,
 }
 
-/// Fits a model by least squares over the points. The ridge on slopes is 10⁻³ of the number of points, in a box scaled to [−1, 1]³;
-/// its bias is taken out where the points determine a slope. Slopes that nothing determines are 0; without points the model is open sky.
-/// Where AO would overshoot by more than 0.1, all slopes are shrunk about the mean by one factor.
+/// Fits a model by least squares over the points. Slopes have a ridge, 10⁻³ of the number of points in a box scaled to
+/// [−1, 1]³; its bias is taken out where the points determine a slope. Slopes that nothing determines are 0; without
+/// points the model is open sky. Where AO would overshoot by more than 0.1 the fit is moved until it does not.
 ///
 /// Errors by which rules compare are those after that.
 pub fn fit_region(points: &RegionPoints, rule: CenterRule) -> RegionFit {
     match rule {
-        CenterRule::Mean => RegionFit::new(points, [0.0; 3], &|_| [[0.0; SIDES]; SIDES]),
-        CenterRule::Gradient => RegionFit::new(points, [0.0; 3], &|moments| one_gradient(&moments.covariance())),
-        CenterRule::Points => about(points, points.center()),
-        CenterRule::Box => about(points, [0.0; 3]),
+        CenterRule::Mean => RegionFit::new(points, [0.0; 3], Design::Constant),
+        CenterRule::Gradient => RegionFit::new(points, [0.0; 3], Design::Gradient),
+        CenterRule::Points => RegionFit::new(points, points.center(), Design::Sides),
+        CenterRule::Box => RegionFit::new(points, [0.0; 3], Design::Sides),
         CenterRule::Best => best(points),
         CenterRule::Refined => refined(points),
     }
 }
 
-fn about(points: &RegionPoints, center: [f64; 3]) -> RegionFit {
-    RegionFit::new(points, center, &|moments| inverse(&moments.covariance()))
-}
-
 fn best(points: &RegionPoints) -> RegionFit {
-    let [of_points, of_box] = [points.center(), [0.0; 3]].map(|center| about(points, center));
+    let [of_points, of_box] = [points.center(), [0.0; 3]].map(|center| RegionFit::new(points, center, Design::Sides));
     if of_box.total_error() < of_points.total_error() { of_box } else { of_points }
 }
 
@@ -82,39 +79,46 @@ fn refined(points: &RegionPoints) -> RegionFit {
     if points.len() < LEAST_REFINED || best.total_error() <= enough {
         return best;
     }
-    let found = about(points, search(points, best.center));
+    let found = RegionFit::new(points, search(points, best.center), Design::Sides);
     if found.total_error() < WORTH * best.total_error() { RegionFit { is_refined: true, ..found } } else { best }
 }
 
-/// The inverse for slopes that are the same on both sides.
-fn one_gradient(covariance: &Square<SIDES>) -> Square<SIDES> {
-    let both = |a: usize, b: usize| [0, 1].map(|i| covariance[2 * a + i][2 * b] + covariance[2 * a + i][2 * b + 1]);
-    let three = inverse::<3>(&std::array::from_fn(|a| std::array::from_fn(|b| both(a, b).iter().sum())));
-    std::array::from_fn(|i| std::array::from_fn(|j| three[i / 2][j / 2]))
+/// The best parameters, or where these would overshoot others that do not; the means alone do not.
+fn bounded(
+    points: &RegionPoints,
+    center: [f64; 3],
+    best: &[[f64; REGION_PARAMETERS]],
+    norm: impl Fn() -> Norm,
+) -> Vec<[f64; REGION_PARAMETERS]> {
+    let limits = Limits::new(points, &points.scale, center);
+    let of_channel = |(channel, best): (usize, &[[f64; REGION_PARAMETERS]])| {
+        if limits.is_within(channel, best) {
+            return best.to_vec();
+        }
+        let means = &points.mean[channel * REGION_HARMONICS..][..REGION_HARMONICS];
+        let constant: Vec<_> = means.iter().map(|mean| with_constant(*mean, [0.0; SIDES])).collect();
+        limits.towards(channel, &constant, best, &norm())
+    };
+    best.chunks(REGION_HARMONICS).enumerate().flat_map(of_channel).collect()
 }
 
 impl RegionFit {
-    fn new(points: &RegionPoints, center: [f64; 3], inverse: &dyn Fn(&Moments) -> Square<SIDES>) -> Self {
+    fn new(points: &RegionPoints, center: [f64; 3], design: Design) -> Self {
         let moments = Moments::new(points, &points.scale, center);
-        let (inverse, means) = (inverse(&moments), moments.means());
-        let change = |k: usize| {
+        let (inverse, means) = (design.inverse(&moments.covariance()), moments.means());
+        let best = |k: usize| {
             let slopes = apply(&inverse, &moments.right(k));
-            let [a, b, c, d, e, f] = slopes;
-            [-dot(&slopes, &means), a, b, c, d, e, f]
+            with_constant(points.mean[k] - dot(&slopes, &means), slopes)
         };
-        let changes: Vec<_> = (0..points.mean.len()).map(change).collect();
-        let part = Limits::new(points, &points.scale, center).part_of_slopes(&points.mean, &changes);
-        let whole = |(mean, change): (&f64, &[f64; REGION_PARAMETERS])| {
-            std::array::from_fn(|i| part * change[i] + if i == 0 { *mean } else { 0.0 })
-        };
-        let parameters: Vec<_> = points.mean.iter().zip(&changes).map(whole).collect();
+        let best: Vec<_> = (0..points.mean.len()).map(best).collect();
+        let parameters = bounded(points, center, &best, || design.norm(moments.mean_squares()));
         Self {
             scale: points.scale,
             center,
             frozen: frozen(&moments.covariance()),
             squared_errors: points.squared_errors_by(&moments, &parameters),
+            is_shrunk: parameters != best,
             parameters,
-            part,
             is_refined: false,
         }
     }
@@ -133,9 +137,9 @@ impl RegionFit {
         self.squared_errors.iter().sum()
     }
 
-    /// The factor by which slopes were shrunk, in [0, 1]: 1 where nothing overshot.
-    pub fn part(&self) -> f64 {
-        self.part
+    /// Whether it would have overshot, and so is not the least-squares fit.
+    pub fn is_shrunk(&self) -> bool {
+        self.is_shrunk
     }
 
     /// Whether its centre was searched.
@@ -146,8 +150,7 @@ impl RegionFit {
     /// 1 and the columns of the slopes at a point, metres.
     pub(crate) fn columns(&self, point: DVec3) -> [f64; REGION_PARAMETERS] {
         let offset = [0, 1, 2].map(|axis| self.scale.coordinate(axis, point[axis]) - self.center[axis]);
-        let [a, b, c, d, e, f] = sides(offset);
-        [1.0, a, b, c, d, e, f]
+        with_constant(1.0, sides(offset))
     }
 
     /// Coefficients at a point, for each channel and harmonic. Metres.

@@ -1,6 +1,8 @@
 //! AO for normals along the axes from its nine harmonics, in the order and with the signs of `kiln_trace`: 1; y, z, x; xy,
 //! yz, 3z² − 1, xz, x² − y².
 
+use kiln_core::REGION_HARMONICS;
+
 /// +x, −x, +y, −y, +z and −z.
 pub(crate) const NORMALS: usize = 6;
 
@@ -27,6 +29,14 @@ pub(crate) fn at_axes(coefficient: impl Fn(usize) -> f64) -> [f64; NORMALS] {
     std::array::from_fn(|n| if n % 2 == 0 { even[n / 2] + odd[n / 2] } else { even[n / 2] - odd[n / 2] })
 }
 
+/// The nine harmonics at a normal, by its place among the six.
+pub(crate) fn basis(normal: usize) -> [f64; REGION_HARMONICS] {
+    std::array::from_fn(|harmonic| at_axes(|k| f64::from(u8::from(k == harmonic)))[normal])
+}
+
+/// The sum of their squares, the same for every normal.
+pub(crate) const BASIS_SQUARES: f64 = REGION_HARMONICS as f64 / SPHERE;
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -45,6 +55,14 @@ mod tests {
         let ao = at_axes(|k| coefficients[k]);
         let expected = [0.5, 0.5, 0.5, 0.5, 1.0, 0.0];
         assert!(ao.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-15), "{ao:?}");
+    }
+
+    #[test]
+    fn squares_add_up_to_the_same_for_every_normal() {
+        for normal in 0..NORMALS {
+            let squares: f64 = basis(normal).iter().map(|y| y * y).sum();
+            assert!((squares - BASIS_SQUARES).abs() < 1e-15, "{normal}: {squares}");
+        }
     }
 
     #[test]

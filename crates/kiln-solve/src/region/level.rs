@@ -53,7 +53,7 @@ fn summary(absorbed: &Absorbed, fits: &[RegionFit], smoothed: &[RegionFit], how:
         regions: absorbed.model_of.len() as u64,
         absorbed: (absorbed.model_of.len() - absorbed.region_of.len()) as u64,
         points: absorbed.points.iter().map(|points| points.len() as u64).sum(),
-        shrunk: count(|fit| fit.part() < 1.0),
+        shrunk: count(RegionFit::is_shrunk),
         refined: count(RegionFit::is_refined),
         held: how.held,
         sweeps: how.sweeps(),

@@ -9,7 +9,7 @@
 //! 1. [`points`] keeps of a region's points what fits need. They lie on a grid and a column of the design depends on one coordinate, so
 //!    that sums over the grid's slabs, and counts over pairs of them, give the normal equations for any c (`moments`).
 //! 2. [`fit`] solves them by rule: about the mean of the points, about the middle of the box, the better of both, or a
-//!    centre that is searched (`search`, the future work of the paper). `ridge` makes the inverse, `bound` shrinks slopes that overshoot.
+//!    centre that is searched (`search`, the future work of the paper). `ridge` makes the inverse, `design` says which slopes are free, `bound` keeps models from overshooting.
 //! 3. [`mod@absorb`] gives small regions to a neighbour, with their points and their boundaries (`boundaries`).
 //! 4. [`mod@smooth`] draws models of neighbours together on their boundaries, by block coordinate descent.
 //! 5. [`table`] says how well each rule does.
@@ -21,6 +21,7 @@ pub mod absorb;
 mod bound;
 mod boundaries;
 mod cholesky;
+mod design;
 mod error;
 pub mod fit;
 mod grid;

@@ -8,8 +8,9 @@
 use super::{
     grid::{Grid, PAIRS, SLABS, Scale},
     points::RegionPoints,
-    ridge::Square,
+    ridge::{RIDGE, Square, frozen},
 };
+use kiln_core::REGION_PARAMETERS;
 
 /// Columns of the slopes: +x, −x, +y, −y, +z and −z.
 pub(crate) const SIDES: usize = 6;
@@ -125,6 +126,24 @@ impl Moments {
     /// Covariances of the columns of the slopes.
     pub(crate) fn covariance(&self) -> Square<SIDES> {
         std::array::from_fn(|i| std::array::from_fn(|j| self.gram[i][j]))
+    }
+
+    /// Means over the points of products of 1 and the columns of the slopes, with the ridge on slopes. Frozen columns are 0.
+    pub(crate) fn mean_squares(&self) -> Square<REGION_PARAMETERS> {
+        let frozen = frozen(&self.covariance());
+        let entry = |i: usize, j: usize| match (i, j) {
+            (0, 0) => 1.0,
+            (0, k) | (k, 0) => {
+                if frozen[k - 1] {
+                    0.0
+                } else {
+                    self.mean[k - 1]
+                }
+            }
+            _ if frozen[i - 1] || frozen[j - 1] => 0.0,
+            _ => self.gram[i - 1][j - 1] + self.mean[i - 1] * self.mean[j - 1] + if i == j { RIDGE } else { 0.0 },
+        };
+        std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)))
     }
 
     /// Covariances of the columns of the slopes with a harmonic.

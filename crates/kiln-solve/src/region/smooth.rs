@@ -6,13 +6,14 @@
 //! in which the points do not spread nothing else would hold a model. Sums are over all harmonics of all channels, by 4π.
 //!
 //! Block coordinate descent: the best model of one region, given its neighbours, is a system of seven unknowns, the same for
-//! all harmonics. Columns that the fit froze stay as they are, and centres too. Where the best model would overshoot (`bound`), a
-//! channel goes as far towards it as it may; on that line E falls all the way, so E never rises.
+//! all harmonics. Columns that the fit froze stay as they are, and centres too. Where the best model would overshoot (`bound`), it is moved
+//! until it does not, if that still lowers E, and a channel goes as far towards it as it may; on that line E falls all the way, so E
+//! never rises.
 //!
 //! Regions of one colour do not touch, so that doing them in parallel is doing them in turn.
 
 use super::{
-    bound::Limits,
+    bound::{Limits, Norm},
     boundaries::Boundaries,
     cholesky::Cholesky,
     error::{RegionError, check_length, check_setting},
@@ -20,7 +21,7 @@ use super::{
     harmonics::SPHERE,
     moments::Moments,
     points::RegionPoints,
-    ridge::{RIDGE, Square, apply, dot},
+    ridge::{Square, apply, dot},
 };
 use kiln_core::{REGION_HARMONICS, REGION_PARAMETERS, RegionEdge};
 use rayon::prelude::*;
@@ -114,7 +115,8 @@ struct Block {
     original: Vec<Parameters>,
     current: Vec<Parameters>,
     metric: Square<REGION_PARAMETERS>,
-    factor: Cholesky<REGION_PARAMETERS>,
+    /// Of the block's terms of E, with zeros for what is frozen, and its inverse.
+    system: Norm,
     frozen: [bool; REGION_PARAMETERS],
     links: Vec<Link>,
     limits: Limits,
@@ -210,7 +212,7 @@ impl Block {
     fn new(points: &RegionPoints, fit: &RegionFit, links: Vec<Link>, norm: SmoothNorm) -> Self {
         let frozen: [bool; REGION_PARAMETERS] = std::array::from_fn(|i| i > 0 && fit.frozen[i - 1]);
         let metric = match norm {
-            SmoothNorm::Points => mean_squares(&Moments::new(points, &fit.scale, fit.center)),
+            SmoothNorm::Points => Moments::new(points, &fit.scale, fit.center).mean_squares(),
             SmoothNorm::Coefficients => per_metre(fit),
         };
         let mut system = metric;
@@ -224,7 +226,7 @@ impl Block {
             original: fit.parameters.clone(),
             current: fit.parameters.clone(),
             metric,
-            factor: Cholesky::new(&system),
+            system: Norm { inverse: Cholesky::new(&system).invert(), matrix: system },
             frozen,
             links,
             limits: Limits::new(points, &fit.scale, fit.center),
@@ -255,9 +257,10 @@ impl Block {
         let (mut next, mut is_held) = (Vec::with_capacity(wanted.len()), false);
         let channels = self.current.chunks(REGION_HARMONICS).zip(wanted.chunks(REGION_HARMONICS));
         for (channel, (from, to)) in channels.enumerate() {
-            let part = self.limits.part_of_way(channel, from, to);
-            is_held |= part < 1.0;
-            next.extend(from.iter().zip(to).map(|(from, to)| on_the_way(from, to, part)));
+            // E rises with the distance from its least, so that it falls on the way.
+            let allowed = self.limits.towards(channel, from, to, &self.system);
+            is_held |= allowed != to;
+            next.extend(allowed);
         }
         Some((next, is_held))
     }
@@ -271,7 +274,7 @@ impl Block {
             (0..REGION_PARAMETERS).for_each(|i| right[i] -= pull * link.own[i]);
         }
         (0..REGION_PARAMETERS).filter(|i| self.frozen[*i]).for_each(|i| right[i] = 0.0);
-        let step = self.factor.solve(right);
+        let step = apply(&self.system.inverse, &right);
         std::array::from_fn(|i| current[i] + step[i])
     }
 }
@@ -282,22 +285,6 @@ fn pairs() -> impl Iterator<Item = (usize, usize)> {
 
 fn difference(a: &Parameters, b: &Parameters) -> Parameters {
     std::array::from_fn(|i| a[i] - b[i])
-}
-
-fn on_the_way(from: &Parameters, to: &Parameters, part: f64) -> Parameters {
-    if part == 1.0 { *to } else { std::array::from_fn(|i| from[i] + part * (to[i] - from[i])) }
-}
-
-/// Means over the points of products of 1 and the columns, with the ridge.
-fn mean_squares(moments: &Moments) -> Square<REGION_PARAMETERS> {
-    let (means, covariance) = (moments.means(), moments.covariance());
-    let mean = |i: usize| if i == 0 { 1.0 } else { means[i - 1] };
-    std::array::from_fn(|i| {
-        std::array::from_fn(|j| {
-            let spread = if i > 0 && j > 0 { covariance[i - 1][j - 1] } else { 0.0 };
-            mean(i) * mean(j) + spread + if i == j && i > 0 { RIDGE } else { 0.0 }
-        })
-    })
 }
 
 /// Squares of the constant and of slopes per metre.
