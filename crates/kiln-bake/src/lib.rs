@@ -4,7 +4,7 @@
 //! those that need no ray, gathers the rest and sums what comes back into moments. [`density`] and [`sample_count`]
 //! say how many samples a face gets, for the plan. [`probe`] gathers at given points.
 //! [`read_decorators`] and [`resample_lod`] read a finished bake again (`resample`). [`volume`] is what is visible from
-//! points around trees, on a sparse lattice.
+//! points around trees, on a sparse lattice; [`regions`] makes boxes of free space.
 
 mod density;
 mod foliage;
@@ -12,6 +12,7 @@ mod model;
 mod noise;
 mod piece;
 mod probe;
+pub mod regions;
 mod resample;
 mod rounds;
 mod samples;
