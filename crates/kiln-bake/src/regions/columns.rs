@@ -57,7 +57,7 @@ mod tests {
         };
         let cells = marks.iter().enumerate().map(cell).collect();
         let grid = Grid { origin: DVec3::ZERO, cell_m: 1.0, size: [1, marks.len(), 1] };
-        let mut voxels = Voxels { grid, cells };
+        let mut voxels = Voxels::new(grid, cells);
         find_places(&mut voxels, height, need_ground);
         (0..marks.len()).map(|index| if voxels.is_free(index) { 'f' } else { '.' }).collect()
     }

@@ -1,6 +1,7 @@
 //! What is wrong with a box, and where to cut it.
 
 use super::{
+    mixture::{LEAST_SHARE, Mixture},
     profile::{Layer, Profile, Span},
     voxels::Voxels,
 };
@@ -15,7 +16,7 @@ pub(super) struct Demands {
     /// How open its narrowest place must be, beside what is wide on both sides of it: a door is narrow, the end of a room is
     /// not, nor is what stands in a room.
     width: f64,
-    /// The greatest part of the free cells that may not be connected with the rest inside the box.
+    /// The greatest part of the free cells that may be of another room, or not be connected with the rest inside the box.
     apart: f64,
 }
 
@@ -33,7 +34,7 @@ impl Demands {
     /// Least part of a box's volume that is free.
     pub(super) fn fill(&self, span: &Span) -> f64 {
         let [small, large] = self.fill;
-        small + (large - small) * ((span.volume() as f64).cbrt() / self.edge as f64).min(1.0)
+        small + (large - small) * (libm::cbrt(span.volume() as f64) / self.edge as f64).min(1.0)
     }
 }
 
@@ -68,71 +69,83 @@ fn width(layers: &[Layer]) -> f64 {
     narrowest
 }
 
-/// The part of the free cells of a box that is not connected, inside it, with the most of them.
+/// The part of the free cells of a box that is not connected, inside it and inside its room, with the most of them. All of it, if
+/// that is most of some room.
 fn apart(voxels: &Voxels, profile: &Profile) -> f64 {
     let span = &profile.span;
-    let is_in = |index: usize| {
-        let cell = voxels.grid.coordinates(index);
-        (0..3).all(|axis| (span.min[axis]..span.max[axis]).contains(&cell[axis]))
-    };
     let local = |index: usize| {
         let cell = voxels.grid.coordinates(index);
-        let [x, y, z]: [usize; 3] = std::array::from_fn(|axis| cell[axis] - span.min[axis]);
-        x + span.extent(0) * (y + span.extent(1) * z)
+        let is_in = (0..3).all(|axis| (span.min[axis]..span.max[axis]).contains(&cell[axis]));
+        is_in.then(|| {
+            let [x, y, z]: [usize; 3] = std::array::from_fn(|axis| cell[axis] - span.min[axis]);
+            x + span.extent(0) * (y + span.extent(1) * z)
+        })
     };
     let mut is_seen = vec![false; span.volume()];
-    let (mut largest, mut stack) = (0, Vec::new());
+    let mut see = |index: usize| local(index).is_some_and(|place| !std::mem::replace(&mut is_seen[place], true));
+    let (mut parts, mut stack) = (Vec::new(), Vec::new());
     for first in voxels.free_in(span) {
-        if std::mem::replace(&mut is_seen[local(first)], true) {
+        if !see(first) {
             continue;
         }
+        let room = voxels.room(first);
         let mut count = 0;
         stack.push(first);
         while let Some(cell) = stack.pop() {
             count += 1;
             voxels.for_neighbours(cell, |next| {
-                if is_in(next) && !std::mem::replace(&mut is_seen[local(next)], true) {
+                if voxels.room(next) == room && see(next) {
                     stack.push(next);
                 }
             });
         }
-        largest = largest.max(count);
-        // The rest cannot be more.
-        if 2 * largest >= profile.free {
-            break;
-        }
+        parts.push((count, room));
+    }
+    parts.sort_unstable();
+    let largest = parts.pop().map_or(0, |(count, _)| count);
+    let size = |room: u32| voxels.rooms.sizes.get(room as usize).copied().unwrap_or(usize::MAX);
+    if parts.iter().any(|(count, room)| *count >= LEAST_SHARE && *count > size(*room) / 2) {
+        return 1.0;
     }
     (profile.free - largest) as f64 / profile.free.max(1) as f64
 }
 
+/// How much it counts that a cut parts rooms, beside the open area and the volume that are counted as parts of the whole.
+const ROOMS: f64 = 4.0;
+
 /// The two parts into which a box is best cut, each the box around its free cells. `None` if it has no two parts.
 ///
-/// The best cut goes through the least open area, parts evenly (normalised cuts: Shi and Malik 2000), and leaves the least
-/// volume in its parts' boxes. A box that is too long is cut across an edge that is, so that no more parts come of it than must.
-pub(super) fn best_cut(profile: &Profile, demands: &Demands) -> Option<[Span; 2]> {
+/// The best cut goes through the least open area, parts evenly (normalised cuts: Shi and Malik 2000), leaves the least volume in
+/// its parts' boxes, and leaves rooms the least mixed. A box that is too long is cut across an edge that is, so that no more parts
+/// come of it than must.
+pub(super) fn best_cut(voxels: &Voxels, profile: &Profile, demands: &Demands) -> Option<[Span; 2]> {
     let pieces = |axis: usize, span: &Span| span.extent(axis).div_ceil(demands.edge);
     let whole = [0, 1, 2].map(|axis| pieces(axis, &profile.span));
     let is_too_long = whole.iter().any(|pieces| *pieces > 1);
     let least = if is_too_long { 1 } else { LEAST_PART };
-    let cuts = (0..3).flat_map(|axis| cuts(profile, axis, least).map(move |cut| (axis, cut)));
-    let costs = cuts.map(|(axis, (cost, parts))| {
-        let after: usize = parts.iter().map(|part| pieces(axis, part)).sum();
-        (cost + if is_too_long { after.saturating_sub(whole[axis]) as f64 } else { 0.0 }, parts)
+    let mixture = Mixture::of(voxels, profile);
+    let costs = (0..3).flat_map(|axis| {
+        let mixed: Option<Vec<f64>> = mixture.as_ref().map(|mixture| mixture.left(axis).collect());
+        cuts(profile, axis, least).map(move |(layer, cost, parts)| {
+            let after: usize = parts.iter().map(|part| pieces(axis, part)).sum();
+            let more = if is_too_long { after.saturating_sub(whole[axis]) as f64 } else { 0.0 };
+            (cost + more + mixed.as_ref().map_or(0.0, |mixed| ROOMS * mixed[layer]), parts)
+        })
     });
     costs.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, parts)| parts)
 }
 
-/// Cost and parts of each cut across an axis that leaves enough on both sides.
-fn cuts(profile: &Profile, axis: usize, least: usize) -> impl Iterator<Item = (f64, [Span; 2])> + use<> {
+/// Layer, cost and parts of each cut across an axis that leaves enough on both sides.
+fn cuts(profile: &Profile, axis: usize, least: usize) -> impl Iterator<Item = (usize, f64, [Span; 2])> + use<> {
     let layers = &profile.layers[axis];
     let mut after = vec![Span::EMPTY; layers.len() + 1];
     for (index, layer) in layers.iter().enumerate().rev() {
         after[index] = after[index + 1].around(&layer.bounds);
     }
     let volume = profile.span.volume() as f64;
-    let size = (profile.free as f64).powf(2.0 / 3.0);
+    let size = libm::pow(profile.free as f64, 2.0 / 3.0);
     let (mut before, mut sum, mut found) = (Span::EMPTY, 0, Vec::new());
-    for (layer, after) in layers.iter().zip(&after[1..]) {
+    for (index, (layer, after)) in layers.iter().zip(&after[1..]).enumerate() {
         before = before.around(&layer.bounds);
         sum += layer.free;
         if sum < least || profile.free - sum < least {
@@ -141,7 +154,7 @@ fn cuts(profile: &Profile, axis: usize, least: usize) -> impl Iterator<Item = (f
         let part = sum as f64 / profile.free as f64;
         let open = layer.open as f64 / size / (4.0 * part * (1.0 - part));
         let left = (before.volume() + after.volume()) as f64 / volume;
-        found.push((open + left, [before, *after]));
+        found.push((index, open + left, [before, *after]));
     }
     found.into_iter()
 }

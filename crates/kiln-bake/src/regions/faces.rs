@@ -59,7 +59,7 @@ pub(super) fn connect(grid: Grid, touched: &CellBits, tracer: &dyn Tracer) -> Re
         }
     }
     raise_floors(&grid, &mut cells);
-    Ok(Voxels { grid, cells })
+    Ok(Voxels::new(grid, cells))
 }
 
 /// Moves the bit of a floor from the cell under it to the cell over it.

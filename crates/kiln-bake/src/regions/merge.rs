@@ -59,7 +59,7 @@ impl Merger<'_> {
         if defect(self.voxels, &Profile::of(self.voxels, both), &demands) > 0.0 {
             return;
         }
-        let openness = link.faces as f64 / (count_a.min(count_b) as f64).powf(2.0 / 3.0);
+        let openness = link.faces as f64 / libm::pow(count_a.min(count_b) as f64, 2.0 / 3.0);
         self.pairs.push((openness.to_bits(), pair));
     }
 

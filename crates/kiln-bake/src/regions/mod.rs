@@ -3,7 +3,7 @@
 //! Space is cut into cubic cells, each of which stands for its centre. Two neighbours are connected if one sees the other
 //! past all that stops rays ([`faces`]), so that a wall without thickness separates rooms as well as a thick one. What has
 //! ground below it, and is indoors or not far above that ground, is where something may move ([`columns`]); what is connected of it
-//! makes spaces, of which those are left out that see too many back faces, for they are inside something solid ([`spaces`]). Free cells are parted into
+//! makes spaces, of which those are left out that see too many back faces, for they are inside something solid ([`spaces`]). What is wide in a space, up to what is narrow, is a room ([`rooms`]). Free cells are parted into
 //! boxes from the top down ([`split`]), where the least open area is cut and the least volume wasted, so that doors become
 //! boundaries; boxes that are one room are put together again ([`merge`]). Everything is counted in integers or in a fixed order: the result
 //! depends neither on threads nor on the order of faces.
@@ -17,7 +17,9 @@ mod faces;
 mod grid;
 mod links;
 mod merge;
+mod mixture;
 mod profile;
+mod rooms;
 mod spaces;
 mod split;
 #[cfg(test)]
@@ -111,7 +113,7 @@ impl MakeSettings {
 
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "casts saturate")]
     fn scale(&self, extent_m: f64, cell_m: f64) -> Scale {
-        let edge_m = self.max_edge_m.unwrap_or_else(|| USUAL_EDGE_M.min(extent_m / 3.0));
+        let edge_m = self.max_edge_m.unwrap_or_else(|| USUAL_EDGE_M.min(extent_m / 2.0));
         let cells = |length: f64| ((length / cell_m).round() as usize).max(1);
         let least_space = self.min_volume_m3.map_or(USUAL_SPACE, |volume| (volume / cell_m.powi(3)).ceil() as usize);
         Scale { height: cells(self.height_over(extent_m)), edge: cells(edge_m), least_space }
@@ -228,6 +230,7 @@ pub fn make_regions(
         let mut boxes = split::split(&voxels, scale.edge, settings.max_regions.saturating_mul(2)).boxes;
         back_facing = spaces::drop_backs(&mut voxels, tracer, settings, &mut boxes)?;
     }
+    rooms::find_rooms(&mut voxels);
     let parts = split::split(&voxels, scale.edge, settings.max_regions);
     let boxes = merge::merge(&voxels, parts.boxes, scale.edge);
     let summary = MakeSummary {

@@ -31,6 +31,7 @@ pub(super) struct Spaces {
 struct Space {
     first: usize,
     views: Vec<usize>,
+    is_over_shell: bool,
 }
 
 /// Leaves those cells free that are in spaces with a seed, or, without seeds, in those that are not small and do not see
@@ -54,41 +55,65 @@ pub(super) fn keep(
         if cells.len() < least {
             counts.small += 1;
             out.extend_from_slice(&cells);
-        } else if is_outside_of_shell(voxels, &cells) {
-            counts.shells += 1;
-            out.extend_from_slice(&cells);
         } else {
             let views = (0..VIEWS_OF_SPACE).map(|i| cells[i * cells.len() / VIEWS_OF_SPACE] as usize);
             let mut views: Vec<usize> = views.collect();
             views.dedup();
-            spaces.push(Space { first, views });
+            spaces.push(Space { first, views, is_over_shell: is_over_shell(voxels, &cells) });
         }
     }
     out.iter().for_each(|cell| voxels.cells[*cell as usize] &= !FREE);
     let views: Vec<&[usize]> = spaces.iter().map(|space| space.views.as_slice()).collect();
-    let backs = back_fractions(voxels, tracer, &views)?;
+    let seen = seen_from(voxels, tracer, &views)?;
     voxels.cells.iter_mut().for_each(|bits| *bits &= !SEEN);
-    for (space, _) in spaces.iter().zip(backs).filter(|(_, backs)| *backs > settings.back_face_limit) {
+    for (space, seen) in spaces.iter().zip(seen) {
+        let is_back_facing = seen.backs > settings.back_face_limit;
+        if is_back_facing {
+            counts.back_facing += 1;
+        } else if space.is_over_shell && seen.nothing > 0.5 {
+            counts.shells += 1;
+        } else {
+            counts.kept += 1;
+            continue;
+        }
         flood(voxels, space.first, &mut cells);
         cells.iter().for_each(|cell| voxels.cells[*cell as usize] &= !FREE);
-        counts.back_facing += 1;
     }
-    counts.kept = spaces.len() as u64 - counts.back_facing;
     if counts.kept == 0 {
         return Err(MakeError::NoSpace { back_facing: counts.back_facing, small: counts.small, shells: counts.shells });
     }
     Ok(counts)
 }
 
-/// Whether a space is mostly open air over sheets that are the ceilings of others: the outside of a cave's shell that is seen from
-/// both sides.
-fn is_outside_of_shell(voxels: &Voxels, cells: &[u32]) -> bool {
+/// A shell holds at least this part of the volume of what is outside of it: more than a hollow floor does.
+const LEAST_INSIDE: f64 = 0.2;
+
+/// Whether a space is mostly open air over sheets that are the ceilings of others, which are no mere hollows. If it sees little
+/// besides, it is the outside of a shell with two sides, such as a cave's.
+fn is_over_shell(voxels: &Voxels, cells: &[u32]) -> bool {
     let row = voxels.grid.stride(1);
     let bits = |cell: &u32| voxels.cells[*cell as usize];
-    let floors = || cells.iter().filter(|cell| bits(cell) & FLOOR != 0);
-    let sheets = floors().filter(|cell| **cell as usize >= row && voxels.is_free(**cell as usize - row));
+    let floors = cells.iter().filter(|cell| bits(cell) & FLOOR != 0);
+    let (mut floor_count, mut sheets, mut inside) = (0, 0, 0);
+    for floor in floors {
+        let below = column_below(voxels, *floor as usize, row);
+        floor_count += 1;
+        sheets += usize::from(below > 0);
+        inside += below;
+    }
     let sky = cells.iter().filter(|cell| bits(cell) & SKY != 0).count();
-    2 * sky > cells.len() && 2 * sheets.count() > floors().count()
+    2 * sky > cells.len() && 2 * sheets > floor_count && inside as f64 > LEAST_INSIDE * cells.len() as f64
+}
+
+/// Free cells that see each other in a column under a floor.
+fn column_below(voxels: &Voxels, floor: usize, row: usize) -> usize {
+    let mut cell = floor;
+    let mut count = 0;
+    while cell >= row && voxels.is_free(cell - row) && (count == 0 || voxels.joins(cell - row, 1)) {
+        cell -= row;
+        count += 1;
+    }
+    count
 }
 
 fn keep_seeded(voxels: &mut Voxels, settings: &MakeSettings) -> Result<Spaces, MakeError> {
@@ -149,9 +174,9 @@ pub(super) fn drop_backs(
     };
     let views: Vec<Vec<usize>> = boxes.iter().map(views).collect();
     let views: Vec<&[usize]> = views.iter().map(Vec::as_slice).collect();
-    let backs = back_fractions(voxels, tracer, &views)?;
+    let seen = seen_from(voxels, tracer, &views)?;
     let before = boxes.len();
-    let mut is_good = backs.iter().map(|backs| *backs <= settings.back_face_limit);
+    let mut is_good = seen.iter().map(|seen| seen.backs <= settings.back_face_limit);
     boxes.retain(|span| {
         let keep = is_good.next().unwrap_or(true);
         if !keep {
@@ -163,12 +188,22 @@ pub(super) fn drop_backs(
     Ok((before - boxes.len()) as u64)
 }
 
-/// Of each group of cells, the part of directions over the sphere in which the back of a face is seen first.
-fn back_fractions(voxels: &Voxels, tracer: &dyn Tracer, groups: &[&[usize]]) -> Result<Vec<f64>, TraceError> {
+/// What is seen from some cells, as parts of all directions over the sphere.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    /// The back of a face.
+    backs: f64,
+    /// Nothing at all.
+    nothing: f64,
+}
+
+/// What is seen first from each group of cells.
+fn seen_from(voxels: &Voxels, tracer: &dyn Tracer, groups: &[&[usize]]) -> Result<Vec<Seen>, TraceError> {
     let mut directions: Vec<Vec3> = Vec::new();
     sphere_directions(SobolScramble([0x9e37_79b9, 0x7f4a_7c15]), DIRECTIONS, &mut directions);
     let views: Vec<usize> = groups.concat();
-    let mut backs = Vec::with_capacity(views.len());
+    // Backs and nothing, of each view.
+    let mut counts: Vec<[usize; 2]> = Vec::with_capacity(views.len());
     for views in views.chunks(RAYS_PER_CALL / DIRECTIONS as usize) {
         let origin = |cell: &usize| voxels.grid.center(voxels.grid.coordinates(*cell)).as_vec3();
         let rays: Vec<Ray> = views
@@ -179,14 +214,17 @@ fn back_fractions(voxels: &Voxels, tracer: &dyn Tracer, groups: &[&[usize]]) -> 
             .collect();
         let mut hits = vec![Hit::MISS; rays.len()];
         tracer.trace(&rays, &mut hits)?;
-        let is_back = |hit: &&Hit| hit.is_hit() && hit.back_face;
-        backs.extend(hits.chunks(DIRECTIONS as usize).map(|hits| hits.iter().filter(is_back).count()));
+        let count = |hits: &[Hit], of: fn(&&Hit) -> bool| hits.iter().filter(of).count();
+        let counted = |hits| [count(hits, |hit| hit.is_hit() && hit.back_face), count(hits, |hit| !hit.is_hit())];
+        counts.extend(hits.chunks(DIRECTIONS as usize).map(counted));
     }
     let mut next = 0;
-    let fraction = |group: &&[usize]| {
-        let sum: usize = backs[next..next + group.len()].iter().sum();
+    let part = |group: &&[usize]| {
+        let all = group.len().max(1) as f64 * f64::from(DIRECTIONS);
+        let counts = &counts[next..next + group.len()];
         next += group.len();
-        sum as f64 / (group.len().max(1) as f64 * f64::from(DIRECTIONS))
+        let sum = |which: usize| counts.iter().map(|counts| counts[which]).sum::<usize>() as f64 / all;
+        Seen { backs: sum(0), nothing: sum(1) }
     };
-    Ok(groups.iter().map(fraction).collect())
+    Ok(groups.iter().map(part).collect())
 }

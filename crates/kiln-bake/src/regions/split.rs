@@ -30,7 +30,7 @@ pub(super) fn split(voxels: &Voxels, edge: usize, most: usize) -> Parts {
     let mut sort = |span: Span, bad: &mut BinaryHeap<Bad>| {
         let profile = Profile::of(voxels, span);
         let defect = defect(voxels, &profile, &demands);
-        let parts = if defect > 0.0 { best_cut(&profile, &demands) } else { None };
+        let parts = if defect > 0.0 { best_cut(voxels, &profile, &demands) } else { None };
         match parts {
             Some(parts) => bad.push(Bad { weight: (defect * profile.free as f64).to_bits(), span, parts }),
             None => boxes.push(span),

@@ -145,6 +145,28 @@ fn furniture_leaves_a_room_whole() {
 }
 
 #[test]
+fn a_room_in_the_open_is_a_region_of_its_own() {
+    let mut builder = Builder::default();
+    builder.quad([[0.0, 0.0, 0.0], [0.0, 0.0, 20.0], [20.0, 0.0, 20.0], [20.0, 0.0, 0.0]], 0);
+    // Four walls and a roof that are seen from both sides, and a door.
+    builder.wall(6.0, [0.0, 3.0], [6.0, 11.0]);
+    builder.wall(10.0, [0.0, 3.0], [6.0, 8.0]).wall(10.0, [0.0, 3.0], [9.0, 11.0]).wall(10.0, [2.0, 3.0], [8.0, 9.0]);
+    for z in [6.0, 11.0] {
+        builder.quad([[6.0, 0.0, z], [10.0, 0.0, z], [10.0, 3.0, z], [6.0, 3.0, z]], 1);
+    }
+    builder.quad([[6.0, 3.0, 6.0], [6.0, 3.0, 11.0], [10.0, 3.0, 11.0], [10.0, 3.0, 6.0]], 1);
+    let settings = MakeSettings { height_m: Some(8.0), max_edge_m: Some(20.0), ..quarter() };
+    let made = make(&builder.mesh(), &settings).unwrap();
+    let bounds = bounds_of(&made);
+    let room = bounds.iter().position(|bounds| *bounds == [[6.0, 0.0, 6.0], [10.0, 3.0, 11.0]]);
+    let room = room.unwrap_or_else(|| panic!("{bounds:?}")) as u32;
+    let doors: Vec<&RegionEdge> = made.edges.iter().filter(|edge| edge.regions.contains(&room)).collect();
+    assert_eq!(doors.len(), 1, "{bounds:?}");
+    assert_eq!((doors[0].area_m2, doors[0].center), (2.0, DVec3::new(10.0, 1.0, 8.5)));
+    assert!(made.regions.len() < 12, "{bounds:?}");
+}
+
+#[test]
 fn open_ground_has_air_up_to_a_height_and_nothing_under_it() {
     let mut builder = Builder::default();
     builder.quad([[0.0, 0.0, 0.0], [0.0, 0.0, 20.0], [20.0, 0.0, 20.0], [20.0, 0.0, 0.0]], 0);
@@ -218,7 +240,9 @@ fn voxels(size: [usize; 3], bits: &[u8]) -> Voxels {
         let open = (0..3).filter(|axis| bits >> (2 * axis) & 3 != 3).fold(0, |open, axis| open | OPEN[axis]);
         (free | open) & !ends
     };
-    Voxels { grid, cells: (0..grid.len()).map(cell).collect() }
+    let mut voxels = Voxels::new(grid, (0..grid.len()).map(cell).collect());
+    rooms::find_rooms(&mut voxels);
+    voxels
 }
 
 proptest! {

@@ -18,9 +18,27 @@ pub(super) const SEEN: u8 = 32;
 pub(super) struct Voxels {
     pub(super) grid: Grid,
     pub(super) cells: Vec<u8>,
+    pub(super) rooms: Rooms,
+}
+
+/// The room of each free cell; none, as long as they are not known.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Rooms {
+    pub(super) of: Vec<u32>,
+    /// Cells of each room.
+    pub(super) sizes: Vec<usize>,
 }
 
 impl Voxels {
+    pub(super) fn new(grid: Grid, cells: Vec<u8>) -> Self {
+        Self { grid, cells, rooms: Rooms::default() }
+    }
+
+    /// The room that a free cell is in.
+    pub(super) fn room(&self, index: usize) -> u32 {
+        self.rooms.of.get(index).copied().unwrap_or(0)
+    }
+
     pub(super) fn is_free(&self, index: usize) -> bool {
         self.cells[index] & FREE != 0
     }
