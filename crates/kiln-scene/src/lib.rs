@@ -49,4 +49,4 @@ pub use error::{ErrorKind, SceneError};
 pub use export::{BakedInstance, BakedModel, ExportRequest, Exported, NumberedInstance, export};
 pub use files::SourceFiles;
 pub use import::{Import, MeshBlob, import};
-pub use sidecar::{ClassRule, Gates, LodRule, Sidecar, SidecarText};
+pub use sidecar::{ClassRule, Gates, LodRule, Sidecar, SidecarText, region_tables};

@@ -2,12 +2,14 @@
 
 mod bake;
 mod farm;
+mod regions;
 mod tools;
 
 pub(crate) use bake::BakeArgs;
 pub(crate) use farm::{
     CancelArgs, FarmAddress, FetchArgs, LsArgs, RoleChoice, ServeArgs, SubmitArgs, WatchArgs, WorkerArgs,
 };
+pub(crate) use regions::RegionsArgs;
 pub(crate) use tools::{BenchArgs, CheckArgs, CompareArgs, ExampleArgs, OverlayChoice, ProbeArgs, ViewArgs};
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -87,6 +89,7 @@ pub(crate) enum Command {
     Check(CheckArgs),
     Compare(CompareArgs),
     Probe(ProbeArgs),
+    Regions(RegionsArgs),
     View(ViewArgs),
     Example(ExampleArgs),
     Serve(ServeArgs),

@@ -9,6 +9,7 @@ pub(crate) mod example;
 pub(crate) mod fetch;
 pub(crate) mod ls;
 pub(crate) mod probe;
+pub(crate) mod regions;
 pub(crate) mod serve;
 pub(crate) mod submit;
 pub(crate) mod view;
@@ -19,12 +20,25 @@ use crate::{
     args::{BackendChoice, Common, FarmAddress},
     failure::{Failure, UNREACHABLE},
     progress::client_failure,
+    source::Source,
 };
 use anyhow::Context;
+use kiln_core::{BakeSettings, Digest, codec};
 use kiln_gpu::{AdapterChoice, GpuDevice};
 use kiln_proto::client::Farm;
-use kiln_worker::tasks::{Backend, Backends};
-use std::sync::Arc;
+use kiln_scene::MeshBlob;
+use kiln_worker::tasks::{Backend, Backends, LoadedLevel};
+use std::{collections::BTreeMap, sync::Arc};
+
+/// Imports a level and loads all of it, to be traced in this process.
+pub(crate) fn load(source: &Source, settings: &BakeSettings) -> Result<LoadedLevel, Failure> {
+    let import = kiln_scene::import(source.name(), source, source.sidecar(), settings).map_err(Failure::refused)?;
+    let decode = |blob: &MeshBlob| Ok((blob.digest, Arc::new(codec::decode("a mesh", &blob.bytes)?)));
+    let by_digest: BTreeMap<Digest, _> =
+        import.meshes.iter().map(decode).collect::<Result<_, codec::DecodeError>>().map_err(anyhow::Error::from)?;
+    let meshes = import.level.meshes.iter().filter_map(|mesh| by_digest.get(&mesh.digest).cloned()).collect();
+    Ok(LoadedLevel::new(Digest::default(), import.level, meshes).map_err(anyhow::Error::from)?)
+}
 
 /// Makes the process's thread pool as wide as asked.
 pub(crate) fn use_threads(common: &Common) -> Result<(), Failure> {

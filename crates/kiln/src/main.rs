@@ -65,6 +65,7 @@ fn run(cli: Cli) -> Result<(), Failure> {
         Command::Check(args) => commands::check::run(&args, &common),
         Command::Compare(args) => commands::compare::run(&args, &common),
         Command::Probe(args) => commands::probe::run(&args, &common),
+        Command::Regions(args) => commands::regions::run(&args, &common),
         Command::View(args) => commands::view::run(&args, &common),
         Command::Example(args) => commands::example::run(&args, &common),
         Command::Serve(args) => commands::serve::run(&args, &common),

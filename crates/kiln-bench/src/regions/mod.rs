@@ -123,7 +123,7 @@ pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
             energy
         );
     }
-    print!("{}", cost::table());
+    print!("{}", cost::table()?);
     Ok(())
 }
 

@@ -42,11 +42,14 @@
 mod boundary;
 mod regions;
 mod table;
+mod write;
 
 use crate::{SceneError, classes::parse_class};
 use globset::{Glob, GlobMatcher};
 use kiln_core::{Class, MAX_CHANNELS, Regions};
 use table::{Entry, Table};
+
+pub use write::region_tables;
 
 /// Channels of a bake whose half-distances are found from the level's size.
 const AUTOMATIC_CHANNELS: usize = 2;

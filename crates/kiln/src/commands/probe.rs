@@ -8,10 +8,9 @@ use crate::{
 };
 use glam::DVec3;
 use kiln_bake::{ProbePoint, ProbeResult, probe};
-use kiln_core::{BakeSettings, Digest, codec};
-use kiln_worker::tasks::LoadedLevel;
+use kiln_core::BakeSettings;
 use serde::Deserialize;
-use std::{fs, path::Path, sync::Arc};
+use std::{fs, path::Path};
 
 /// What else is in the file, such as what `kiln bench accuracy --points-out` writes, is left alone.
 #[derive(Deserialize)]
@@ -33,13 +32,7 @@ pub(crate) fn run(args: &ProbeArgs, common: &Common) -> Result<(), Failure> {
     let source = Source::read(&args.level, args.sidecar.as_deref())?;
     let half_distances_m = args.half_distance.0.clone();
     let settings = BakeSettings { half_distances_m, foliage: args.foliage.into(), ..BakeSettings::default() };
-    let import = kiln_scene::import(source.name(), &source, source.sidecar(), &settings).map_err(Failure::refused)?;
-    let decode = |blob: &kiln_scene::MeshBlob| Ok((blob.digest, Arc::new(codec::decode("a mesh", &blob.bytes)?)));
-    let by_digest: std::collections::BTreeMap<Digest, _> =
-        import.meshes.iter().map(decode).collect::<Result<_, codec::DecodeError>>().map_err(anyhow::Error::from)?;
-    let meshes = import.level.meshes.iter().filter_map(|mesh| by_digest.get(&mesh.digest).cloned()).collect();
-    let level = LoadedLevel::new(Digest::default(), import.level, meshes).map_err(anyhow::Error::from)?;
-
+    let level = super::load(&source, &settings)?;
     let backend = super::choose_backend(common)?;
     let (_, tracer) = level.tracer(&backend).map_err(anyhow::Error::from)?;
     let origin = level.level.origin_m;
