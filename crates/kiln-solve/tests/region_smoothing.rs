@@ -1,5 +1,6 @@
 //! Laws of smoothing between regions.
 
+#[expect(dead_code, reason = "each test program uses a part")]
 mod rooms;
 
 use glam::DVec3;
