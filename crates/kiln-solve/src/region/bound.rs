@@ -2,14 +2,15 @@
 //! points' by [`OVERSHOOT`] at most.
 //!
 //! The paper's fit does, by up to 0.67 where a diagonal wall splits a box. The model is a sum of functions of one
-//! coordinate, each of two straight pieces, so that its greatest value in a box is the sum of theirs, at an end or at the
-//! centre: the bound holds in the whole box, of which the corners are a part. The range is that of the same normal and channel.
+//! coordinate, each of two straight pieces, so that its greatest value in a box is the sum of theirs, at an end or at
+//! the centre: the bound holds in the whole box, of which the corners are a part. The range is that of the same normal
+//! and channel.
 //!
-//! The bound is one of linear functions of the parameters, one for each normal and place. A fit that goes beyond is moved to the
-//! most violated of them, by the shortest way in the norm of the points, and again, some times; what is left beyond after
-//! that, little if anything, is shrunk about the mean by one factor. Shrinking alone made the error of furnished rooms 4 % greater,
-//! for most fits overshoot a little in a corner, and all slopes paid for it; searched centres then were worth it in 17 of 40 rooms,
-//! not in 36.
+//! The bound is one of linear functions of the parameters, one for each normal and place. A fit that goes beyond is
+//! moved to the most violated of them, by the shortest way in the norm of the points, and again, some times; what is
+//! left beyond after that, little if anything, is shrunk about the mean by one factor. Shrinking alone made the error
+//! of furnished rooms 4 % greater, for most fits overshoot a little in a corner, and all slopes paid for it; searched
+//! centres then were worth it in 17 of 40 rooms, not in 36.
 
 use super::{
     grid::{Range, Scale},
@@ -79,8 +80,8 @@ impl Limits {
         self.reached(parameters).map(|ends| ends.map(|end| end.ao))
     }
 
-    /// Moves the nine harmonics of one channel to where they overshoot less, by the shortest ways in the norm whose matrix has
-    /// this inverse.
+    /// Moves the nine harmonics of one channel to where they overshoot less, by the shortest ways in the norm whose
+    /// matrix has this inverse.
     fn pull(&self, channel: usize, parameters: &mut [Parameters], inverse: &Square<REGION_PARAMETERS>) {
         for pull in 0..MOST_PULLS {
             let Some((normal, beyond, offset)) = self.worst(channel, parameters) else { break };
@@ -108,8 +109,8 @@ impl Limits {
         worst
     }
 
-    /// A model of one channel that does not overshoot, where the best would be `to` and `from` does not. It is no further
-    /// from the best than what a line from `from` to the best reaches, in the norm given.
+    /// A model of one channel that does not overshoot, where the best would be `to` and `from` does not. It is no
+    /// further from the best than what a line from `from` to the best reaches, in the norm given.
     pub(crate) fn towards(
         &self,
         channel: usize,
@@ -131,8 +132,9 @@ impl Limits {
         allowed.into_iter().all(|(allowed, range)| allowed[0] <= range[0] && range[1] <= allowed[1])
     }
 
-    /// As far on the way from one model to another, of one channel, as nothing overshoots, where the first does not. What is
-    /// reached is convex along the way, so that a chord bounds it: it may be less far than it could, but not from constants.
+    /// As far on the way from one model to another, of one channel, as nothing overshoots, where the first does not.
+    /// What is reached is convex along the way, so that a chord bounds it: it may be less far than it could, but not
+    /// from constants.
     fn on_the_way(&self, channel: usize, from: &[Parameters], to: &[Parameters]) -> Vec<Parameters> {
         let part = least_part(&self.allowed[channel], &self.range(from), &self.range(to));
         let between = |from: &Parameters, to: &Parameters| std::array::from_fn(|i| from[i] + part * (to[i] - from[i]));

@@ -1,13 +1,14 @@
 //! Models of neighbours agree better on their boundaries (Sloan et al. 2013, section 2.3).
 //!
-//! `E = Σ_i ‖M_i − M_orig,i‖² + β Σ_i Σ_{j∈N(i)} ŵ_ij (M_i(b_ij) − M_j(b_ij))²`, b the centre of a boundary and
-//! `ŵ_ij = w_ij / √(W_i W_j)` of its area w, with W_i the sum over the neighbours of i, so that β means the same in every level. Each boundary is counted from both
-//! sides. ‖·‖² is the mean over the region's points of the squared difference, plus the fit's ridge on slopes: along directions
-//! in which the points do not spread nothing else would hold a model. Sums are over all harmonics of all channels, by 4π.
+//! `E = Σ_i ‖M_i − M_orig,i‖² + β Σ_i Σ_{j∈N(i)} ŵ_ij (M_i(b_ij) − M_j(b_ij))²`, b the centre of a boundary and `ŵ_ij =
+//! w_ij / √(W_i W_j)` of its area w, with W_i the sum over the neighbours of i, so that β means the same in every
+//! level. Each boundary is counted from both sides. ‖·‖² is the mean over the region's points of the squared
+//! difference, plus the fit's ridge on slopes: along directions in which the points do not spread nothing else would
+//! hold a model. Sums are over all harmonics of all channels, by 4π.
 //!
-//! Block coordinate descent: the best model of one region, given its neighbours, is a system of seven unknowns, the same for
-//! all harmonics. Columns that the fit froze stay as they are, and centres too. Where the best model of a channel would
-//! overshoot, it gets as near to it as `bound` finds, which is nearer than what it had: E never rises.
+//! Block coordinate descent: the best model of one region, given its neighbours, is a system of seven unknowns, the
+//! same for all harmonics. Columns that the fit froze stay as they are, and centres too. Where the best model of a
+//! channel would overshoot, it gets as near to it as `bound` finds, which is nearer than what it had: E never rises.
 //!
 //! Regions of one colour do not touch, so that doing them in parallel is doing them in turn.
 
