@@ -61,6 +61,19 @@ fn what_is_merged_is_fitted_to_all_its_points() {
     assert!((0..2).all(|c| (found[c] - direct[c]).abs() < 1e-9), "{found:?} {direct:?}");
 }
 
+/// What a neighbour absorbed before counts when it is compared again.
+#[test]
+fn neighbours_are_fitted_again() {
+    // All in one box: 0 sees 0.5 and takes 1 (0.9), since 4 sees 0.1; then it predicts 2 (0.62) better than 3 (0.52).
+    let of_region = |(count, ao): (usize, f64)| points(&hall(), &bits(|i| i < count), 1, flat(ao));
+    let points = [(8, 0.5), (6, 0.9), (7, 0.62), (512, 0.52), (512, 0.1)].map(of_region);
+    let edge = |a, b| RegionEdge { regions: [a, b], area_m2: 1.0, center: hall().bounds.center() };
+    let found = absorb(points.to_vec(), &[edge(0, 1), edge(1, 4), edge(0, 2), edge(2, 3)], 8, 1.0).unwrap();
+    assert_eq!(found.model_of, [0, 0, 0, 1, 2]);
+    let without = [points[0].clone(), points[2].clone(), points[3].clone()].to_vec();
+    assert_eq!(absorb(without, &[edge(0, 1), edge(1, 2)], 8, 1.0).unwrap().model_of, [0, 1, 1]);
+}
+
 #[test]
 fn ties_go_to_the_larger_boundary_then_the_lower_index() {
     let (mut regions, points) = chain(&[512, 2, 512], &[0.5; 3]);

@@ -25,10 +25,11 @@ pub struct Absorbed {
     pub region_of: Vec<u32>,
 }
 
-/// Gives regions with fewer valid points or less volume (all boxes together) to a neighbour, smallest first: by number of points,
-/// volume and index. That is the neighbour whose model ([`CenterRule::Best`]) has the least error at the points; if several
-/// have it, the one with the larger boundary, then the one of lower index. It is fitted to both from then on, and may still be
-/// small. Small regions without neighbours stay; regions without points always count as small.
+/// Gives regions with fewer valid points or less volume (all boxes together) to a neighbour, smallest first: by number
+/// of points, volume and index. That is the neighbour whose model ([`CenterRule::Best`]) has the least error at the
+/// points; if several have it, the one with the larger boundary, then the one of lower index. It is fitted to both from
+/// then on, and may still be small. Small regions without neighbours stay; regions without points always count as
+/// small.
 ///
 /// # Errors
 /// If an edge or a limit is not usable, or the regions have different numbers of channels.

@@ -3,7 +3,8 @@
 /// A pivot below this part of its diagonal element is rounding.
 const LEAST_PIVOT: f64 = 1e-13;
 
-/// `A = L Lᵀ`. Unknowns without a pivot have no say, and are 0 in every solution: a row and column of zeros takes an unknown out.
+/// `A = L Lᵀ`. Unknowns without a pivot have no say, and are 0 in every solution: a row and column of zeros takes an
+/// unknown out.
 #[derive(Clone, Debug)]
 pub(crate) struct Cholesky<const N: usize> {
     /// L below its diagonal.

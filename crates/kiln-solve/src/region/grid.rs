@@ -16,7 +16,8 @@ pub(crate) type Range = [[f64; 2]; NORMALS];
 /// The range of nothing.
 const NO_RANGE: Range = [[f64::INFINITY, f64::NEG_INFINITY]; NORMALS];
 
-/// What a region's points add to the normal equations, whatever the centre. K is the number of harmonics of all channels.
+/// What a region's points add to the normal equations, whatever the centre. K is the number of harmonics of all
+/// channels.
 #[derive(Clone, Debug)]
 pub(crate) struct Grid {
     /// The region's box, metres.

@@ -1,5 +1,5 @@
-//! AO for normals along the axes from its nine harmonics, in the order and with the signs of `kiln_trace`: 1; y, z, x; xy,
-//! yz, 3z² − 1, xz, x² − y².
+//! AO for normals along the axes from its nine harmonics, in the order and with the signs of `kiln_trace`: 1; y, z, x;
+//! xy, yz, 3z² − 1, xz, x² − y².
 
 use kiln_core::REGION_HARMONICS;
 

@@ -14,8 +14,8 @@ use rayon::prelude::*;
 
 /// Models of all regions, from samples of all of them in order; the points of a region are its valid candidates.
 ///
-/// Small regions become part of a neighbour; what is left is fitted with [`CenterRule::Refined`] and smoothed. The errors of the summary
-/// are over all points, of regions as they are after that.
+/// Small regions become part of a neighbour; what is left is fitted with [`CenterRule::Refined`] and smoothed. The
+/// errors of the summary are over all points, of regions as they are after that.
 ///
 /// # Errors
 /// If the samples are not those of the regions, or a box, an edge or a setting is not usable.

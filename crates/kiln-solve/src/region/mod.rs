@@ -1,15 +1,17 @@
 //! Models of what moving objects see in visibility regions.
 //!
 //! # How it works
-//! AO at a point p is, for each spherical harmonic of each channel, `v + Σ over the axes (p − c)_i · v_{2i + s_i}`, s_i = 0
-//! where (p − c)_i ≥ 0, else 1: a value at a centre c and six slopes (Sloan, Tranchida, Chen, Kavan, "Ambient Obscurance
-//! Baking on the GPU", 2013, section 2.3, equation 4). Given c it is linear, and the design is the same for all
-//! harmonics of all channels. In order:
+//! AO at a point p is, for each spherical harmonic of each channel, `v + Σ over the axes (p − c)_i · v_{2i + s_i}`, s_i
+//! = 0 where (p − c)_i ≥ 0, else 1: a value at a centre c and six slopes (Sloan, Tranchida, Chen, Kavan, "Ambient
+//! Obscurance Baking on the GPU", 2013, section 2.3, equation 4). Given c it is linear, and the design is the same for
+//! all harmonics of all channels. In order:
 //!
-//! 1. [`points`] keeps of a region's points what fits need. They lie on a grid and a column of the design depends on one coordinate, so
-//!    that sums over the grid's slabs, and counts over pairs of them, give the normal equations for any c (`moments`).
+//! 1. [`points`] keeps of a region's points what fits need. They lie on a grid and a column of the design depends on
+//!    one coordinate, so that sums over the grid's slabs, and counts over pairs of them, give the normal equations for
+//!    any c (`moments`).
 //! 2. [`fit`] solves them by rule: about the mean of the points, about the middle of the box, the better of both, or a
-//!    centre that is searched (`search`, the future work of the paper). `ridge` makes the inverse, `design` says which slopes are free, `bound` keeps models from overshooting.
+//!    centre that is searched (`search`, the future work of the paper). `ridge` makes the inverse, `design` says which
+//!    slopes are free, `bound` keeps models from overshooting.
 //! 3. [`mod@absorb`] gives small regions to a neighbour, with their points and their boundaries (`boundaries`).
 //! 4. [`mod@smooth`] draws models of neighbours together on their boundaries, by block coordinate descent.
 //! 5. [`table`] says how well each rule does.

@@ -1,9 +1,9 @@
 //! Means and covariances of the columns of the design about a centre, from sums over grids.
 //!
-//! The columns of the slopes along an axis, `max(d, 0)` and `min(d, 0)` with d the offset from the centre, depend on one
-//! coordinate. So does `d ≥ 0`, along which the model changes when the centre moves. Sums of products of two
-//! columns are then sums over a grid's slabs, or over pairs of slabs of two axes: some hundred products where 512 points
-//! would take twenty thousand.
+//! The columns of the slopes along an axis, `max(d, 0)` and `min(d, 0)` with d the offset from the centre, depend on
+//! one coordinate. So does `d ≥ 0`, along which the model changes when the centre moves. Sums of products of two
+//! columns are then sums over a grid's slabs, or over pairs of slabs of two axes: some hundred products where 512
+//! points would take twenty thousand.
 
 use super::{
     grid::{Grid, PAIRS, SLABS, Scale},
@@ -128,7 +128,8 @@ impl Moments {
         std::array::from_fn(|i| std::array::from_fn(|j| self.gram[i][j]))
     }
 
-    /// Means over the points of products of 1 and the columns of the slopes, with the ridge on slopes. Frozen columns are 0.
+    /// Means over the points of products of 1 and the columns of the slopes, with the ridge on slopes. Frozen columns
+    /// are 0.
     pub(crate) fn mean_squares(&self) -> Square<REGION_PARAMETERS> {
         let frozen = frozen(&self.covariance());
         let entry = |i: usize, j: usize| match (i, j) {

@@ -32,7 +32,8 @@ impl RegionPoints {
     /// [`kiln_core::RegionSamples::values`]. A part of the bits with their values is a fit to a part of the points.
     ///
     /// # Errors
-    /// If the box is not finite, the number of channels is out of range or that of values another, or one is not finite.
+    /// If the box is not finite, the number of channels is out of range or that of values another, or one is not
+    /// finite.
     pub fn new(region: &Region, valid: &CandidateBits, values: &[f32], channels: usize) -> Result<Self, RegionError> {
         check_box(&region.bounds, 0)?;
         check_channels(channels)?;
@@ -102,8 +103,8 @@ impl RegionPoints {
         })
     }
 
-    /// For each channel, the sum over the points of the squared error of a model, of AO averaged over all normals: the sum over the
-    /// harmonics by 4π (Parseval). The model may be that of another region.
+    /// For each channel, the sum over the points of the squared error of a model, of AO averaged over all normals: the
+    /// sum over the harmonics by 4π (Parseval). The model may be that of another region.
     ///
     /// Found from sums, it is exact to some 1e-13 for each point, a root mean square of 3e-7.
     pub fn squared_errors(&self, fit: &RegionFit) -> Vec<f64> {

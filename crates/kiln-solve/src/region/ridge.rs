@@ -2,9 +2,9 @@
 //!
 //! A ridge λ leaves `σ / (σ + λ)` of a direction of variance σ: with λ = 10⁻³ slopes of a full grid lose 2 %. Solving
 //! again for what is left, m times in all, leaves `1 − (λ / (σ + λ))^m` (iterated Tikhonov regularisation, King and
-//! Chillingworth 1979): with m = 8 the bias on a full grid is 10⁻¹³ of a slope, a direction of variance 10⁻² has none above
-//! 5·10⁻⁹, and one of 10⁻⁶ keeps less than a hundredth. m doubles with each step `F ← F (2 − C F)`, since `1 − C F` is
-//! squared.
+//! Chillingworth 1979): with m = 8 the bias on a full grid is 10⁻¹³ of a slope, a direction of variance 10⁻² has none
+//! above 5·10⁻⁹, and one of 10⁻⁶ keeps less than a hundredth. m doubles with each step `F ← F (2 − C F)`, since `1 − C
+//! F` is squared.
 
 use super::cholesky::Cholesky;
 

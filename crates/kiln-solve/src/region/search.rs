@@ -1,9 +1,10 @@
-//! A better centre than the mean of the points or the middle of the box: the first along each axis by trial, then by Gauss–Newton steps.
+//! A better centre than the mean of the points or the middle of the box: the first along each axis by trial, then by
+//! Gauss–Newton steps.
 //!
-//! The error of the best slopes about a centre is a function of the centre alone (variable projection, Golub and Pereyra 1973; here
-//! with Kaufman's approximation of 1975). When the centre moves along an axis, the model changes by the jump of its slope
-//! times `d ≥ 0` but for what other columns can say; so a step needs only covariances that the fit has anyway.
-//! A step counts only if the error falls.
+//! The error of the best slopes about a centre is a function of the centre alone (variable projection, Golub and
+//! Pereyra 1973; here with Kaufman's approximation of 1975). When the centre moves along an axis, the model changes by
+//! the jump of its slope times `d ≥ 0` but for what other columns can say; so a step needs only covariances that the
+//! fit has anyway. A step counts only if the error falls.
 
 use super::{
     cholesky::Cholesky,

@@ -1,14 +1,14 @@
 //! Models of neighbours agree better on their boundaries (Sloan et al. 2013, section 2.3).
 //!
-//! `E = Σ_i ‖M_i − M_orig,i‖² + β Σ_i Σ_{j∈N(i)} ŵ_ij (M_i(b_ij) − M_j(b_ij))²`, b the centre of a boundary and
-//! `ŵ_ij = w_ij / √(W_i W_j)` of its area w, with W_i the sum over the neighbours of i, so that β means the same in every level. Each boundary is counted from both
-//! sides. ‖·‖² is the mean over the region's points of the squared difference, plus the fit's ridge on slopes: along directions
-//! in which the points do not spread nothing else would hold a model. Sums are over all harmonics of all channels, by 4π.
+//! `E = Σ_i ‖M_i − M_orig,i‖² + β Σ_i Σ_{j∈N(i)} ŵ_ij (M_i(b_ij) − M_j(b_ij))²`, b the centre of a boundary and `ŵ_ij =
+//! w_ij / √(W_i W_j)` of its area w, with W_i the sum over the neighbours of i, so that β means the same in every
+//! level. Each boundary is counted from both sides. ‖·‖² is the mean over the region's points of the squared
+//! difference, plus the fit's ridge on slopes: along directions in which the points do not spread nothing else would
+//! hold a model. Sums are over all harmonics of all channels, by 4π.
 //!
-//! Block coordinate descent: the best model of one region, given its neighbours, is a system of seven unknowns, the same for
-//! all harmonics. Columns that the fit froze stay as they are, and centres too. Where the best model would overshoot (`bound`), it is moved
-//! until it does not, if that still lowers E, and a channel goes as far towards it as it may; on that line E falls all the way, so E
-//! never rises.
+//! Block coordinate descent: the best model of one region, given its neighbours, is a system of seven unknowns, the
+//! same for all harmonics. Columns that the fit froze stay as they are, and centres too. Where the best model of a
+//! channel would overshoot, it gets as near to it as `bound` finds, which is nearer than what it had: E never rises.
 //!
 //! Regions of one colour do not touch, so that doing them in parallel is doing them in turn.
 
@@ -115,9 +115,8 @@ struct Block {
     original: Vec<Parameters>,
     current: Vec<Parameters>,
     metric: Square<REGION_PARAMETERS>,
-    /// Of the block's terms of E, with zeros for what is frozen, and its inverse.
+    /// Of the block's terms of E, with zeros for what is frozen, which then does not change.
     system: Norm,
-    frozen: [bool; REGION_PARAMETERS],
     links: Vec<Link>,
     limits: Limits,
     is_held: bool,
@@ -227,7 +226,6 @@ impl Block {
             current: fit.parameters.clone(),
             metric,
             system: Norm { inverse: Cholesky::new(&system).invert(), matrix: system },
-            frozen,
             links,
             limits: Limits::new(points, &fit.scale, fit.center),
             is_held: false,
@@ -273,7 +271,6 @@ impl Block {
             let pull = link.weight * self.jump(link, blocks, k);
             (0..REGION_PARAMETERS).for_each(|i| right[i] -= pull * link.own[i]);
         }
-        (0..REGION_PARAMETERS).filter(|i| self.frozen[*i]).for_each(|i| right[i] = 0.0);
         let step = apply(&self.system.inverse, &right);
         std::array::from_fn(|i| current[i] + step[i])
     }

@@ -8,8 +8,9 @@ use super::{
 use kiln_core::{REGION_HARMONICS, RegionEdge, RegionErrors};
 use rayon::prelude::*;
 
-/// For each channel the root mean square of the jump between neighbours' models at the centres of their boundaries, weighted by area,
-/// of AO averaged over all normals; 0 without edges. Edges are between indices of `fits`, of as many channels each.
+/// For each channel the root mean square of the jump between neighbours' models at the centres of their boundaries,
+/// weighted by area, of AO averaged over all normals; 0 without edges. Edges are between indices of `fits`, of as many
+/// channels each.
 pub fn jumps(fits: &[RegionFit], edges: &[RegionEdge]) -> Vec<f64> {
     let channels = fits.first().map_or(0, |fit| fit.squared_errors().len());
     let (mut sums, mut area) = (vec![0.0; channels], 0.0);
@@ -27,8 +28,8 @@ pub fn jumps(fits: &[RegionFit], edges: &[RegionEdge]) -> Vec<f64> {
 /// Squared errors of one region by rule, for one channel: mean, gradient, about the points, about the box, the better.
 type ByRule = [f64; 5];
 
-/// The errors for each channel, over all points, of models before (`fits`) and after smoothing, and of the other rules. All are as they would be
-/// stored but for their rounding to f32: slopes shrunk where they overshot.
+/// The errors for each channel, over all points, of models before (`fits`) and after smoothing, and of the other rules.
+/// All are as they would be stored but for their rounding to f32: slopes shrunk where they overshot.
 pub fn region_errors(
     points: &[RegionPoints],
     fits: &[RegionFit],

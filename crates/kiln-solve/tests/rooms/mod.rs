@@ -1,7 +1,5 @@
 //! Regions with known visibility, for the tests of their models.
 
-#![expect(dead_code, reason = "each test program uses a part")]
-
 use glam::DVec3;
 use kiln_core::{
     Bounds, CANDIDATES, CandidateBits, REGION_HARMONICS, Region, RegionEdge, RegionSamples, RegionSettings, Regions,
