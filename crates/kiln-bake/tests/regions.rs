@@ -6,7 +6,7 @@ mod geometry;
 use geometry::{cube, flat, square};
 use glam::{DAffine3, DVec3, Vec3};
 use kiln_bake::{RegionGather, gather_regions};
-use kiln_core::{Bounds, CANDIDATES, CandidateBits, Kernel, Region, RegionSamples};
+use kiln_core::{Bounds, CANDIDATES, CandidateBits, Kernel, Region, RegionSamples, RegionSettings};
 use kiln_trace::{CpuTracer, HARMONICS, KernelRates, MeshBvh, Scene, SceneObject, quadratic_harmonics};
 use std::sync::Arc;
 
@@ -17,7 +17,8 @@ fn tracer(triangles: &[[Vec3; 3]], double_sided: bool) -> CpuTracer {
 }
 
 fn settings(kernel: &Kernel) -> RegionGather {
-    RegionGather { kernel: KernelRates::new(kernel), rays_per_point: 1024, back_face_limit: 0.25, seed: 3 }
+    let (settings, kernel) = (RegionSettings::default(), KernelRates::new(kernel));
+    RegionGather { kernel, settings, is_adaptive: false, seed: 3 }
 }
 
 fn obscurance() -> Kernel {
@@ -113,6 +114,21 @@ fn given_validity_is_kept_but_for_what_sees_backs() {
     let samples = gather(&tracer, &[given]);
     assert_eq!(samples.valid[0].iter().collect::<Vec<_>>(), [511]);
     assert_eq!((samples.dropped[0], samples.rays), (3, 4 * 1024));
+}
+
+/// Fewer rays for each of many points change what is seen by noise alone.
+#[test]
+fn many_points_need_fewer_rays() {
+    let tracer = tracer(&cube(Vec3::new(2.0, 1.0, 2.0), 0.7), false);
+    let regions = [region([0.0; 3], [4.0, 3.0, 4.0])];
+    let all = gather(&tracer, &regions);
+    let settings = RegionGather { is_adaptive: true, ..settings(&obscurance()) };
+    let fewer = gather_regions(&tracer, &regions, &settings).unwrap();
+    assert_eq!(all.valid, fewer.valid);
+    assert!(fewer.rays * 6 < all.rays && fewer.rays >= 1 << 15, "{} of {}", fewer.rays, all.rays);
+    let squares = all.values.iter().zip(&fewer.values).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+    let rms = (9.0 * squares / all.values.len() as f64 / (4.0 * std::f64::consts::PI)).sqrt();
+    assert!(rms > 0.0 && rms < 0.03, "{rms}");
 }
 
 /// Alone, in a batch, or in another order.

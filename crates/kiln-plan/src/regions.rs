@@ -1,11 +1,16 @@
 //! Tasks of visibility regions: what can be seen in them, and their models. A level without regions has none of these.
 
 use crate::{PlanError, Planner, Reach};
-use kiln_core::{CANDIDATES, DigestBuilder, ModelWork, Output, PlannedTask, Region, RegionsWork, TaskKind, Work};
+use kiln_core::{
+    CANDIDATES, DigestBuilder, ModelWork, Output, PlannedTask, Region, RegionsWork, SkipRule, TaskKind, Work,
+};
 use std::ops::Range;
 
-/// Rays of one task of regions, about: as many as a piece's.
-const REGION_RAYS: u64 = 1 << 19;
+/// Rays of one task of regions, about: those of one with all candidates, so that an edit of a region redoes no others.
+const REGION_RAYS: u64 = 1 << 16;
+
+/// Rays that find a region's valid points, about: 32 for each candidate, and one to each neighbour.
+const FINDING_RAYS: u64 = 48 * CANDIDATES as u64;
 
 impl Planner<'_> {
     /// Adds the tasks of the level's regions.
@@ -14,7 +19,7 @@ impl Planner<'_> {
         if regions.regions.is_empty() {
             return Ok(());
         }
-        let runs = runs(&regions.regions, u64::from(regions.settings.rays_per_point), reach);
+        let runs = runs(&regions.regions, &|region| self.rays_of(region), reach);
         let samples = runs.into_iter().map(|run| self.add_region_run(run, reach)).collect::<Result<Vec<u32>, _>>()?;
         let work = ModelWork { region_count: regions.regions.len() as u32 };
         let mut family = DigestBuilder::new("kiln model family");
@@ -29,6 +34,13 @@ impl Planner<'_> {
         Ok(())
     }
 
+    /// Rays of a region at most; where its valid points are to be found, of all of them, and those that find them.
+    fn rays_of(&self, region: &Region) -> u64 {
+        let (points, more) = region.valid.map_or((CANDIDATES, FINDING_RAYS), |valid| (valid.count(), 0));
+        let is_adaptive = !self.level.sampling.no_skip.contains(&SkipRule::Adaptive);
+        points as u64 * u64::from(self.level.regions.settings.rays_of_each(points, is_adaptive)) + more
+    }
+
     fn add_region_run(&mut self, run: Range<usize>, reach: &Reach) -> Result<u32, PlanError> {
         let (regions, s) = (&self.level.regions, &self.level.sampling);
         let rays = regions.settings.rays_per_point;
@@ -40,24 +52,19 @@ impl Planner<'_> {
         family.integer(u64::from(rays)).value(&s.kernel).float(regions.settings.back_face_limit).integer(s.seed);
         family.value(&s.foliage).value(&s.no_skip);
         let surroundings = Some(self.surroundings_of(reach.group_of_region(run.start), run.start)?);
-        let cost = regions.regions[run.clone()].iter().map(|region| points(region) * u64::from(rays)).sum();
+        let cost = regions.regions[run.clone()].iter().map(|region| self.rays_of(region)).sum();
         let work = RegionsWork { first: run.start as u32, count: run.len() as u32 };
         let task = PlannedTask::new(Work::Regions(work), family.finish(), cost);
         Ok(self.graph.add(PlannedTask { surroundings, ..task }, []))
     }
 }
 
-/// Points of a region that are traced at most.
-fn points(region: &Region) -> u64 {
-    region.valid.map_or(CANDIDATES, |valid| valid.count()) as u64
-}
-
 /// Regions that follow one another and have the same surroundings, as many together as make a task.
-fn runs(regions: &[Region], rays_per_point: u64, reach: &Reach) -> Vec<Range<usize>> {
+fn runs(regions: &[Region], rays_of: &dyn Fn(&Region) -> u64, reach: &Reach) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
     let mut rays = 0;
     for (index, region) in regions.iter().enumerate() {
-        let more = points(region) * rays_per_point;
+        let more = rays_of(region);
         let group = reach.group_of_region(index);
         match runs.last_mut() {
             Some(run) if reach.group_of_region(run.start) == group && rays + more <= REGION_RAYS => {
@@ -111,14 +118,14 @@ mod tests {
     fn small_regions_share_a_task() {
         let mut level = with_regions(&[0.0, 0.1, 0.2, 0.3]);
         let mut bits = CandidateBits::default();
-        (0..200).for_each(|index| bits.insert(index));
+        (0..30).for_each(|index| bits.insert(index));
         level.regions.regions.iter_mut().for_each(|region| region.valid = Some(bits));
         let graph = graph(&level);
         let found: Vec<RegionsWork> = tasks(&graph).into_iter().map(|(_, work)| work).collect();
         assert_eq!(found, [RegionsWork { first: 0, count: 2 }, RegionsWork { first: 2, count: 2 }]);
         assert_eq!(
             graph.tasks.iter().filter(|task| task.work.kind() == TaskKind::Regions).map(|t| t.cost).sum::<u64>(),
-            800 * 1024
+            4 * 30 * 1024
         );
     }
 

@@ -3,7 +3,7 @@
 use super::valid::{sphere, valid};
 use crate::volume::COSINE_BANDS;
 use glam::DVec3;
-use kiln_core::{CandidateBits, MAX_CHANNELS, Region, RegionSamples};
+use kiln_core::{CandidateBits, Level, MAX_CHANNELS, Region, RegionSamples, RegionSettings, SkipRule};
 use kiln_trace::{HARMONICS, KernelRates, SpherePoint, SphereSums, TraceError, Tracer};
 
 /// How points of regions are traced.
@@ -11,12 +11,24 @@ use kiln_trace::{HARMONICS, KernelRates, SpherePoint, SphereSums, TraceError, Tr
 pub struct RegionGather {
     /// The value of a ray.
     pub kernel: KernelRates,
-    /// Directions over the sphere, a power of two up to [`kiln_trace::MAX_RAYS_PER_SAMPLE`]; 1,024 in the paper.
-    pub rays_per_point: u32,
-    /// A point is left out if more of its rays than this fraction see the back of a face.
-    pub back_face_limit: f64,
+    /// Directions over the sphere, powers of two up to [`kiln_trace::MAX_RAYS_PER_SAMPLE`], and by what a point is left out.
+    pub settings: RegionSettings,
+    /// Where a region has many points each has fewer rays.
+    pub is_adaptive: bool,
     /// Of all directions.
     pub seed: u64,
+}
+
+impl RegionGather {
+    /// How a level's regions are traced.
+    pub fn of(level: &Level) -> Self {
+        Self {
+            kernel: KernelRates::of(&level.sampling),
+            settings: level.regions.settings,
+            is_adaptive: !level.sampling.no_skip.contains(&SkipRule::Adaptive),
+            seed: level.sampling.seed,
+        }
+    }
 }
 
 /// Traces the valid points of some regions. What comes back for a region depends on nothing but its box and validity,
@@ -48,11 +60,12 @@ fn gather(
     let candidates: Vec<usize> = valid(tracer, region, settings)?.iter().collect();
     let points: Vec<SpherePoint> = candidates.iter().map(|i| sphere(region.candidate(*i), settings.seed)).collect();
     let mut sums = vec![SphereSums::default(); points.len()];
-    tracer.gather_sphere(&points, &settings.kernel, settings.rays_per_point, &mut sums)?;
+    let rays = settings.settings.rays_of_each(points.len(), settings.is_adaptive);
+    tracer.gather_sphere(&points, &settings.kernel, rays, &mut sums)?;
     let mut kept = CandidateBits::default();
     for (index, sum) in candidates.iter().zip(&sums) {
         samples.rays += u64::from(sum.rays);
-        if sum.back_face_fraction() <= settings.back_face_limit {
+        if sum.back_face_fraction() <= settings.settings.back_face_limit {
             kept.insert(*index);
             (0..samples.channels as usize).for_each(|channel| samples.values.extend(convolved(sum, channel)));
         }
@@ -63,16 +76,16 @@ fn gather(
 }
 
 /// AO as a function of the normal at given points, metres relative to the level's origin, for each channel; none is left
-/// out, whatever it sees.
+/// out, whatever it sees. `rays_per_point` is a power of two up to [`kiln_trace::MAX_RAYS_PER_SAMPLE`].
 pub fn gather_points(
     tracer: &dyn Tracer,
     points: &[DVec3],
-    settings: &RegionGather,
+    (kernel, rays_per_point, seed): (&KernelRates, u32, u64),
 ) -> Result<Vec<Vec<[f32; HARMONICS]>>, TraceError> {
-    let spheres: Vec<SpherePoint> = points.iter().map(|point| sphere(*point, settings.seed)).collect();
+    let spheres: Vec<SpherePoint> = points.iter().map(|point| sphere(*point, seed)).collect();
     let mut sums = vec![SphereSums::default(); spheres.len()];
-    tracer.gather_sphere(&spheres, &settings.kernel, settings.rays_per_point, &mut sums)?;
-    let channels = settings.kernel.channels.clamp(1, MAX_CHANNELS);
+    tracer.gather_sphere(&spheres, kernel, rays_per_point, &mut sums)?;
+    let channels = kernel.channels.clamp(1, MAX_CHANNELS);
     Ok(sums.iter().map(|sum| (0..channels).map(|channel| convolved(sum, channel)).collect()).collect())
 }
 

@@ -36,7 +36,7 @@ pub(super) fn valid(
     let solid = back_fractions(tracer, &points, settings)?;
     let is_free: Vec<bool> = solid.iter().map(|fraction| *fraction < SOLID).collect();
     let component = components(tracer, &points, &is_free)?;
-    let Some(main) = largest(&component, &solid, settings.back_face_limit) else {
+    let Some(main) = largest(&component, &solid, settings.settings.back_face_limit) else {
         return Ok(CandidateBits::default());
     };
     let mut bits = CandidateBits::default();

@@ -2,7 +2,7 @@
 
 use super::Args;
 use glam::DVec3;
-use kiln_bake::{ProbePoint, RegionGather, gather_points, probe};
+use kiln_bake::{ProbePoint, gather_points, probe};
 use kiln_core::{Level, REGION_HARMONICS, RegionSamples};
 use kiln_trace::{
     KernelRates, Ray, SobolScramble, TraceError, Tracer, quadratic_harmonics, sobol_point, sphere_direction,
@@ -92,12 +92,7 @@ fn of_region(
 ) -> Result<Vec<Place>, TraceError> {
     let box_of = &level.regions.regions[region];
     let limit = level.regions.settings.back_face_limit;
-    let gather = RegionGather {
-        kernel: KernelRates::of(&level.sampling),
-        rays_per_point: SPHERE_RAYS,
-        back_face_limit: 1.0,
-        seed: 1,
-    };
+    let kernel = KernelRates::of(&level.sampling);
     let valid: Vec<DVec3> = samples.valid[region].iter().map(|index| box_of.candidate(index)).collect();
     let mut places = Vec::new();
     for index in 0..args.held_out {
@@ -107,15 +102,17 @@ fn of_region(
         let point = box_of.bounds.min + (box_of.bounds.max - box_of.bounds.min) * at;
         let distance = |p: &&DVec3| p.distance_squared(point);
         let nearest = valid.iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
-        let Some(nearest) = nearest.filter(|nearest| sees(tracer, **nearest, point).unwrap_or(false)) else { continue };
-        debug_assert!(nearest.is_finite());
+        let Some(nearest) = nearest else { continue };
+        if !sees(tracer, *nearest, point)? {
+            continue;
+        }
         let normal = sphere_direction(random(2)).as_dvec3();
         let asked = ProbePoint { position: point, normal, geometric: None };
         let found = probe(tracer, &[asked], &level.sampling.kernel, args.rays, index)?.remove(0);
         if found.back_face_fraction > limit {
             continue;
         }
-        let harmonics = gather_points(tracer, &[point], &gather)?.remove(0);
+        let harmonics = gather_points(tracer, &[point], (&kernel, SPHERE_RAYS, 1))?.remove(0);
         let harmonics = harmonics.into_iter().flatten().map(f64::from).collect();
         places.push(Place { region, point, normal, ao: found.ao, harmonics });
     }

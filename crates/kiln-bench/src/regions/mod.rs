@@ -9,12 +9,12 @@ use crate::{BenchError, Provenance, imported::import_as};
 use held_out::{HeldOut, Rmse};
 use jumps::Jumps;
 use kiln_bake::{RegionGather, gather_regions};
-use kiln_core::{Digest, FoliageMode, Kernel, Level, RegionModels, RegionSamples};
+use kiln_core::{Digest, FoliageMode, Kernel, Level, RegionModels, RegionSamples, SkipRule};
 use kiln_solve::{
     model_regions,
     region::{CenterRule, RegionFit, RegionPoints, fit_region},
 };
-use kiln_trace::{KernelRates, Tracer};
+use kiln_trace::Tracer;
 use kiln_worker::tasks::{Backend, LoadedLevel};
 use rayon::prelude::*;
 use std::{
@@ -37,6 +37,9 @@ pub struct Args {
     /// Rays of each of them
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(64..=1_048_576))]
     rays: u32,
+    /// Rays of each point in place of the bake's number, which depends on how many points a region has
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=32_768))]
+    point_rays: Option<u32>,
     /// Draw neighbours together by this weight in place of the sidecar's (β)
     #[arg(long, value_name = "BETA")]
     smoothing: Option<f64>,
@@ -60,7 +63,7 @@ struct Found {
     trace_secs: f64,
     model_secs: f64,
     held_out: usize,
-    /// By rule, then after smoothing, then what the harmonics at the very point leave.
+    /// By rule, then with small ones absorbed, and after smoothing, then what the harmonics at the very point leave.
     rmse: Vec<Rmse>,
     jumps: Jumps,
 }
@@ -93,7 +96,11 @@ pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
     println!(
         "\nThe paper's 332,741 points took 9.2 s on a K20: a landmark. RMSE of AO at held-out points and normals:\n"
     );
-    let names: Vec<&str> = RULES.iter().map(|(_, name)| *name).chain(["smoothed", "harmonics at the point"]).collect();
+    let names: Vec<&str> = RULES
+        .iter()
+        .map(|(_, name)| *name)
+        .chain(["small ones absorbed", "smoothed", "harmonics at the point"])
+        .collect();
     println!("| level | held out | {} |", names.join(" | "));
     println!("|---{}|", "|---".repeat(names.len() + 1));
     for level in &found {
@@ -137,6 +144,10 @@ fn measure(path: &Path, args: &Args) -> Result<Found, BenchError> {
         return Err(failed(format!("its sidecar has no visibility regions; {advice}")));
     }
     level.regions.settings.smoothing = args.smoothing.unwrap_or(level.regions.settings.smoothing);
+    if let Some(rays) = args.point_rays {
+        level.regions.settings.rays_per_point = rays.next_power_of_two();
+        level.sampling.no_skip.insert(SkipRule::Adaptive);
+    }
     let loaded =
         LoadedLevel::new(Digest::default(), level, imported.meshes).map_err(|error| failed(error.to_string()))?;
     let (_, tracer) = loaded.tracer(&Backend::Cpu).map_err(|error| failed(error.to_string()))?;
@@ -153,6 +164,10 @@ fn measure(path: &Path, args: &Args) -> Result<Found, BenchError> {
         RULES.iter().map(|(rule, _)| points.par_iter().map(|points| fit_region(points, *rule)).collect()).collect();
     let mut rmse: Vec<Rmse> =
         fits.iter().map(|fits| held_out.rmse(|region, point| fits[region].at(point).collect())).collect();
+    let mut unsmoothed = level.regions.clone();
+    unsmoothed.settings.smoothing = 0.0;
+    let absorbed = model_regions(&unsmoothed, &samples).map_err(|error| failed(error.to_string()))?;
+    rmse.push(held_out.rmse(|region, point| absorbed.models[absorbed.model_of[region] as usize].at(point).collect()));
     let smoothed = |region: usize, point| models.models[models.model_of[region] as usize].at(point).collect();
     rmse.push(held_out.rmse(smoothed));
     rmse.push(held_out.rmse_of_harmonics());
@@ -172,12 +187,7 @@ fn measure(path: &Path, args: &Args) -> Result<Found, BenchError> {
 
 /// All regions, side by side; what comes of it does not depend on that.
 fn gather(level: &Level, tracer: &dyn Tracer) -> Result<RegionSamples, kiln_trace::TraceError> {
-    let settings = RegionGather {
-        kernel: KernelRates::of(&level.sampling),
-        rays_per_point: level.regions.settings.rays_per_point,
-        back_face_limit: level.regions.settings.back_face_limit,
-        seed: level.sampling.seed,
-    };
+    let settings = RegionGather::of(level);
     let regions = level.regions.regions.par_iter();
     let runs = regions.map(|region| gather_regions(tracer, std::slice::from_ref(region), &settings));
     Ok(RegionSamples::joined(level.sampling.kernel.channel_count(), runs.collect::<Result<Vec<_>, _>>()?))

@@ -4,7 +4,7 @@ use super::{LoadedLevel, SceneTracer, counted::Counted, out_of_range};
 use crate::{Artefacts, TaskError, TaskOutput};
 use bytes::Bytes;
 use kiln_bake::{RegionGather, gather_regions};
-use kiln_core::{Digest, Level, ModelWork, RegionSamples, RegionsWork, codec};
+use kiln_core::{Digest, ModelWork, RegionSamples, RegionsWork, codec};
 use rayon::prelude::*;
 
 /// Traces some regions.
@@ -16,19 +16,9 @@ pub(super) fn trace(
     let end = work.first.saturating_add(work.count);
     let regions = level.level.regions.regions.get(work.first as usize..end as usize);
     let regions = regions.ok_or_else(|| out_of_range("region", end))?;
-    let settings = gather_settings(&level.level);
-    let samples = gather_regions(&Counted(&**tracer), regions, &settings).map_err(|error| TaskError::from(&error))?;
+    let samples = gather_regions(&Counted(&**tracer), regions, &RegionGather::of(&level.level))
+        .map_err(|error| TaskError::from(&error))?;
     Ok(TaskOutput { rays: samples.rays, result: codec::encode(&samples), attachments: Vec::new() })
-}
-
-/// How points of a level's regions are traced.
-pub(super) fn gather_settings(level: &Level) -> RegionGather {
-    RegionGather {
-        kernel: kiln_trace::KernelRates::of(&level.sampling),
-        rays_per_point: level.regions.settings.rays_per_point,
-        back_face_limit: level.regions.settings.back_face_limit,
-        seed: level.sampling.seed,
-    }
 }
 
 /// Finds the models of all regions; `inputs` are their samples, in their order.

@@ -6,7 +6,7 @@ use crate::{
     one_mesh::{one_mesh, scene_of},
 };
 use glam::DVec3;
-use kiln_bake::{RegionGather, gather_points};
+use kiln_bake::gather_points;
 use kiln_core::Kernel;
 use kiln_scene::BakedScene;
 use kiln_trace::{CpuTracer, KernelRates};
@@ -21,7 +21,7 @@ const DEFAULT_HALF_DISTANCE_M: f64 = 2.0;
 pub(crate) struct BallTracer {
     tracer: CpuTracer,
     origin: DVec3,
-    gather: RegionGather,
+    kernel: KernelRates,
     /// Of each channel.
     weights: Vec<f32>,
 }
@@ -35,8 +35,7 @@ impl BallTracer {
         let mut weights = weights.to_vec();
         weights.resize(half_distances_m.len(), 0.0);
         let kernel = KernelRates::new(&Kernel::Obscurance { half_distances_m });
-        let gather = RegionGather { kernel, rays_per_point: RAYS, back_face_limit: 1.0, seed: 0 };
-        Self { tracer, origin, gather, weights }
+        Self { tracer, origin, kernel, weights }
     }
 
     /// The tracer, and where its space begins.
@@ -47,7 +46,7 @@ impl BallTracer {
     /// AO as a function of the normal at each place, world space, metres.
     pub(super) fn lights(&self, places: &[DVec3]) -> Result<Vec<Light>, Failure> {
         let points: Vec<DVec3> = places.iter().map(|place| *place - self.origin).collect();
-        let found = gather_points(&self.tracer, &points, &self.gather).map_err(anyhow::Error::from)?;
+        let found = gather_points(&self.tracer, &points, (&self.kernel, RAYS, 0)).map_err(anyhow::Error::from)?;
         let blend = |channels: &Vec<Light>| {
             let mut light = Light::default();
             for (channel, weight) in channels.iter().zip(&self.weights) {
