@@ -1,8 +1,9 @@
 //! What is wrong with a box, and where to cut it.
 
 use super::{
-    mixture::{LEAST_SHARE, Mixture},
+    mixture::{Mixture, room_counts},
     profile::{Layer, Profile, Span},
+    rooms::LEAST_ROOM,
     voxels::Voxels,
 };
 
@@ -16,19 +17,21 @@ pub(super) struct Demands {
     /// How open its narrowest place must be, beside what is wide on both sides of it: a door is narrow, the end of a room is
     /// not, nor is what stands in a room.
     width: f64,
-    /// The greatest part of the free cells that may be of another room, or not be connected with the rest inside the box.
+    /// The greatest part of the free cells that may not be connected with the rest inside the box.
     apart: f64,
+    /// The greatest part of them that may be of other rooms than most.
+    strange: f64,
 }
 
 impl Demands {
     /// Of a box that is to be.
     pub(super) const fn usual(edge: usize) -> Self {
-        Self { edge, fill: [0.5, 0.75], width: 0.5, apart: 0.1 }
+        Self { edge, fill: [0.5, 0.75], width: 0.5, apart: 0.1, strange: 0.35 }
     }
 
-    /// Of a box that something small is added to.
+    /// Of a box that something small is added to, which is no room.
     pub(super) const fn lax(edge: usize) -> Self {
-        Self { edge, fill: [0.4, 0.6], width: 0.3, apart: 0.1 }
+        Self { edge, fill: [0.35, 0.6], width: 0.2, apart: 0.2, strange: 0.35 }
     }
 
     /// Least part of a box's volume that is free.
@@ -39,7 +42,7 @@ impl Demands {
 }
 
 /// Free cells without which nothing is a box of its own, if it can be helped.
-pub(super) const LEAST_PART: usize = 16;
+pub(super) const LEAST_PART: usize = 64;
 
 /// How far a box is from what is demanded: 0 if it is as it should be.
 pub(super) fn defect(voxels: &Voxels, profile: &Profile, demands: &Demands) -> f64 {
@@ -49,7 +52,8 @@ pub(super) fn defect(voxels: &Voxels, profile: &Profile, demands: &Demands) -> f
     let short = |value: f64, least: f64| (1.0 - value / least).max(0.0);
     let defect = (over - 1.0).max(0.0) + short(fill, demands.fill(&profile.span)) + short(width, demands.width);
     // The costliest question last.
-    if defect == 0.0 && apart(voxels, profile) > demands.apart { 0.5 } else { defect }
+    let is_bad = || is_mixed(voxels, profile, demands) || apart(voxels, profile) > demands.apart;
+    if defect == 0.0 && is_bad() { 0.5 } else { defect }
 }
 
 /// The narrowest place between two layers, as part of the smaller of the widest layers on its sides.
@@ -69,8 +73,18 @@ fn width(layers: &[Layer]) -> f64 {
     narrowest
 }
 
-/// The part of the free cells of a box that is not connected, inside it and inside its room, with the most of them. All of it, if
-/// that is most of some room.
+/// Whether a box holds most of a room that it is not for, or is for no room in particular.
+fn is_mixed(voxels: &Voxels, profile: &Profile, demands: &Demands) -> bool {
+    let mut rooms = room_counts(voxels, &profile.span);
+    let Some((largest, _)) = rooms.pop() else { return false };
+    let holds_another = rooms.iter().any(|(count, room)| {
+        let size = voxels.rooms.sizes.get(*room as usize).copied().unwrap_or(usize::MAX);
+        size >= LEAST_ROOM && *count > size / 2
+    });
+    holds_another || (profile.free - largest) as f64 > demands.strange * profile.free as f64
+}
+
+/// The part of the free cells of a box that is not connected, inside it, with the most of them.
 fn apart(voxels: &Voxels, profile: &Profile) -> f64 {
     let span = &profile.span;
     let local = |index: usize| {
@@ -83,29 +97,26 @@ fn apart(voxels: &Voxels, profile: &Profile) -> f64 {
     };
     let mut is_seen = vec![false; span.volume()];
     let mut see = |index: usize| local(index).is_some_and(|place| !std::mem::replace(&mut is_seen[place], true));
-    let (mut parts, mut stack) = (Vec::new(), Vec::new());
+    let (mut largest, mut stack) = (0, Vec::new());
     for first in voxels.free_in(span) {
         if !see(first) {
             continue;
         }
-        let room = voxels.room(first);
         let mut count = 0;
         stack.push(first);
         while let Some(cell) = stack.pop() {
             count += 1;
             voxels.for_neighbours(cell, |next| {
-                if voxels.room(next) == room && see(next) {
+                if see(next) {
                     stack.push(next);
                 }
             });
         }
-        parts.push((count, room));
-    }
-    parts.sort_unstable();
-    let largest = parts.pop().map_or(0, |(count, _)| count);
-    let size = |room: u32| voxels.rooms.sizes.get(room as usize).copied().unwrap_or(usize::MAX);
-    if parts.iter().any(|(count, room)| *count >= LEAST_SHARE && *count > size(*room) / 2) {
-        return 1.0;
+        largest = largest.max(count);
+        // The rest cannot be more.
+        if 2 * largest >= profile.free {
+            break;
+        }
     }
     (profile.free - largest) as f64 / profile.free.max(1) as f64
 }
@@ -123,7 +134,8 @@ pub(super) fn best_cut(voxels: &Voxels, profile: &Profile, demands: &Demands) ->
     let whole = [0, 1, 2].map(|axis| pieces(axis, &profile.span));
     let is_too_long = whole.iter().any(|pieces| *pieces > 1);
     let least = if is_too_long { 1 } else { LEAST_PART };
-    let mixture = Mixture::of(voxels, profile);
+    // What is too long is of many rooms; where they are counts when it is not.
+    let mixture = if is_too_long { None } else { Mixture::of(voxels, profile) };
     let costs = (0..3).flat_map(|axis| {
         let mixed: Option<Vec<f64>> = mixture.as_ref().map(|mixture| mixture.left(axis).collect());
         cuts(profile, axis, least).map(move |(layer, cost, parts)| {

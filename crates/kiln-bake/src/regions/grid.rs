@@ -4,7 +4,7 @@ use super::{MakeError, SolidObject};
 use glam::DVec3;
 use kiln_core::{Bounds, Class};
 
-/// The most cells: with all that is kept of each they take some 600 MB.
+/// The most cells: with all that is kept of each they take up to 1.2 GB.
 pub(super) const MOST_CELLS: f64 = 67_108_864.0;
 
 /// Cells that the size of a cell is chosen for, where it need not be larger than is good for people.
@@ -93,7 +93,7 @@ fn cell_size(size: DVec3, asked: Option<f64>) -> Result<f64, MakeError> {
     }
     // A flat level has no volume, a point not even a length.
     let least = (size.max_element() / 1024.0).max(f64::MIN_POSITIVE.sqrt());
-    let usual = (size.element_product() / USUAL_CELLS).cbrt().max(least).min(LARGEST_CELL_M);
+    let usual = libm::cbrt(size.element_product() / USUAL_CELLS).max(least).min(LARGEST_CELL_M);
     Ok(if cells(usual) <= MOST_CELLS { usual } else { least_cell(usual, cells) })
 }
 
@@ -101,9 +101,9 @@ fn cell_size(size: DVec3, asked: Option<f64>) -> Result<f64, MakeError> {
 fn least_cell(too_small: f64, cells: impl Fn(f64) -> f64) -> f64 {
     let mut cell = too_small;
     while cells(cell) > MOST_CELLS {
-        cell *= (cells(cell) / MOST_CELLS).cbrt().max(1.01);
+        cell *= libm::cbrt(cells(cell) / MOST_CELLS).max(1.01);
     }
-    let digit = 10f64.powf(cell.log10().floor() - 1.0);
+    let digit = libm::exp10(libm::log10(cell).floor() - 1.0);
     let rounded = (cell / digit).ceil() * digit;
     // Without the noise of binary fractions, so that the number can be typed.
     format!("{rounded:.12}").parse().unwrap_or(rounded)

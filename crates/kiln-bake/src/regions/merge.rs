@@ -9,7 +9,7 @@ use super::{
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 
 /// Boxes with fewer free cells are small: less is demanded where they are added to others.
-const SMALL: usize = 4 * LEAST_PART;
+const SMALL: usize = 3 * LEAST_PART;
 
 struct Merger<'v> {
     voxels: &'v Voxels,

@@ -1,13 +1,17 @@
 //! How rooms are mixed in a box, and how well cuts part them.
 
-use super::{profile::Profile, rooms::LEAST_ROOM, voxels::Voxels};
+use super::{
+    profile::{Profile, Span},
+    rooms::LEAST_ROOM,
+    voxels::Voxels,
+};
 use std::collections::BTreeMap;
 
 /// Rooms that are told from each other and from the rest, those with the most cells.
 const TOLD: usize = 4;
 
 /// What counts as a room's: fewer of its cells are what a box has caught at the border.
-pub(super) const LEAST_SHARE: usize = LEAST_ROOM / 4;
+const LEAST_SHARE: usize = LEAST_ROOM / 4;
 
 /// Cells of the largest rooms, and of all others.
 type Counts = [usize; TOLD + 1];
@@ -21,16 +25,11 @@ pub(super) struct Mixture {
 impl Mixture {
     /// `None` if all is one room, but for what is caught at the border.
     pub(super) fn of(voxels: &Voxels, profile: &Profile) -> Option<Self> {
-        let mut rooms: BTreeMap<u32, usize> = BTreeMap::new();
-        for index in voxels.free_in(&profile.span) {
-            *rooms.entry(voxels.room(index)).or_default() += 1;
-        }
-        let mut largest: Vec<(usize, u32)> = rooms.into_iter().map(|(room, count)| (count, room)).collect();
-        largest.sort_unstable_by(|a, b| b.cmp(a));
-        if largest.get(1).is_none_or(|(count, _)| *count < LEAST_SHARE) {
+        let rooms = room_counts(voxels, &profile.span);
+        if rooms.iter().rev().nth(1).is_none_or(|(count, _)| *count < LEAST_SHARE) {
             return None;
         }
-        let told: Vec<u32> = largest.iter().take(TOLD).map(|(_, room)| *room).collect();
+        let told: Vec<u32> = rooms.iter().rev().take(TOLD).map(|(_, room)| *room).collect();
         let layers = std::array::from_fn(|axis| vec![Counts::default(); profile.span.extent(axis)]);
         let mut mixture = Self { layers, all: Counts::default() };
         for index in voxels.free_in(&profile.span) {
@@ -54,6 +53,24 @@ impl Mixture {
             (disorder(&sum) + disorder(&rest)) / before
         })
     }
+}
+
+/// Cells of each room in a box, the largest last.
+pub(super) fn room_counts(voxels: &Voxels, span: &Span) -> Vec<(usize, u32)> {
+    let mut rooms: BTreeMap<u32, usize> = BTreeMap::new();
+    let mut cells = voxels.free_in(span).peekable();
+    while let Some(index) = cells.next() {
+        let room = voxels.room(index);
+        let mut count = 1;
+        // Neighbours are mostly of one room.
+        while cells.next_if(|next| voxels.room(*next) == room).is_some() {
+            count += 1;
+        }
+        *rooms.entry(room).or_default() += count;
+    }
+    let mut counts: Vec<(usize, u32)> = rooms.into_iter().map(|(room, count)| (count, room)).collect();
+    counts.sort_unstable();
+    counts
 }
 
 /// Entropy of the rooms of some cells, times their number.

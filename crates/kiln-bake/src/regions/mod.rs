@@ -1,12 +1,13 @@
 //! Visibility regions for a level that has none: boxes of free space, and where they meet.
 //!
-//! Space is cut into cubic cells, each of which stands for its centre. Two neighbours are connected if one sees the other
-//! past all that stops rays ([`faces`]), so that a wall without thickness separates rooms as well as a thick one. What has
-//! ground below it, and is indoors or not far above that ground, is where something may move ([`columns`]); what is connected of it
-//! makes spaces, of which those are left out that see too many back faces, for they are inside something solid ([`spaces`]). What is wide in a space, up to what is narrow, is a room ([`rooms`]). Free cells are parted into
-//! boxes from the top down ([`split`]), where the least open area is cut and the least volume wasted, so that doors become
-//! boundaries; boxes that are one room are put together again ([`merge`]). Everything is counted in integers or in a fixed order: the result
-//! depends neither on threads nor on the order of faces.
+//! Space is cut into cubic cells, each of which stands for its centre (`grid`). Two neighbours are connected if one sees the
+//! other past all that stops rays (`faces`), so that a wall without thickness separates rooms as well as a thick one. What has
+//! ground below it, and is indoors or not far above that ground, is where something may move (`columns`); what is connected of it
+//! makes spaces, of which those are left out that see too many back faces, for they are inside something solid (`spaces`). What is
+//! wide in a space, up to what is narrow, is a room (`rooms`). Free cells are parted into boxes from the top down (`split`), where
+//! the least open area is cut and the least volume wasted, so that doors become boundaries; boxes that are one room are put together
+//! again (`merge`). Everything is counted in integers or in a fixed order: the result depends neither on threads nor on
+//! the order of faces.
 //!
 //! The boxes are those of Sloan et al. 2013, section 2.3, where a visibility system gives them; how they are made here is our
 //! own.

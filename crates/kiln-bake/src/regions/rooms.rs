@@ -9,8 +9,9 @@ use super::voxels::{OPEN, Rooms, Voxels};
 /// A place is a bottleneck if it is no wider than this part of what is on both its sides.
 const BOTTLENECK: f64 = 0.5;
 
-/// What has fewer cells is no room.
+/// What has fewer cells is no room, nor what has fewer when it meets another: then its narrow parts are still to come.
 pub(super) const LEAST_ROOM: usize = 256;
+const LEAST_BASIN: u32 = 64;
 
 const NONE: u32 = u32::MAX;
 
@@ -102,7 +103,7 @@ impl Basins {
     fn meet(&mut self, one: u32, other: u32, width: u16) {
         let [a, b] = [one, other].map(|cell| self.root(cell) as usize);
         let is_narrow = f64::from(width) <= BOTTLENECK * f64::from(self.peak[a].min(self.peak[b]));
-        let is_small = (self.size[a].min(self.size[b]) as usize) < LEAST_ROOM;
+        let is_small = self.size[a].min(self.size[b]) < LEAST_BASIN;
         if a == b || is_narrow && !is_small {
             return;
         }

@@ -135,6 +135,43 @@ fn a_closed_box_is_one_region() {
 }
 
 #[test]
+fn the_outside_of_a_shell_is_left_out() {
+    let mut shell = Builder::default().cuboid([-2.0, -1.0, 0.0], [2.0, 2.0, 6.0], true).mesh();
+    shell.face_group.fill(1);
+    let made = make(&shell, &quarter()).unwrap();
+    assert_eq!(bounds_of(&made), [[[-2.0, -1.0, 0.0], [2.0, 2.0, 6.0]]]);
+    assert_eq!((made.summary.shells, made.summary.back_facing), (1, [0, 0]));
+}
+
+#[test]
+fn rooms_end_at_narrow_places() {
+    // Two chambers of 8 × 8 × 8 cells, and a way between them.
+    let rooms = |width: usize| {
+        let grid = Grid { origin: DVec3::ZERO, cell_m: 1.0, size: [20, 10, 10] };
+        let is_free = |[x, y, z]: [usize; 3]| {
+            let within = |n: usize, from: usize, to: usize| (from..to).contains(&n);
+            let is_way = within(y, 1, 1 + width) && within(z, 1, 1 + width);
+            within(y, 1, 9) && within(z, 1, 9) && (within(x, 1, 9) || within(x, 11, 19) || within(x, 9, 11) && is_way)
+        };
+        let cell = |index: usize| {
+            let place = grid.coordinates(index);
+            let joins = |axis: &usize| {
+                let mut next = place;
+                next[*axis] += 1;
+                next[*axis] < grid.size[*axis] && is_free(place) && is_free(next)
+            };
+            (0..3).filter(joins).fold(u8::from(is_free(place)) * FREE, |bits, axis| bits | OPEN[axis])
+        };
+        let mut voxels = Voxels::new(grid, (0..grid.len()).map(cell).collect());
+        rooms::find_rooms(&mut voxels);
+        voxels.rooms.sizes
+    };
+    assert_eq!(rooms(4).len(), 2);
+    assert_eq!(rooms(4).iter().sum::<usize>(), 2 * 512 + 2 * 16);
+    assert_eq!(rooms(6).len(), 1);
+}
+
+#[test]
 fn furniture_leaves_a_room_whole() {
     let mut builder = Builder::default();
     builder.cuboid([0.0, 0.0, 0.0], [6.0, 3.0, 6.0], true);
