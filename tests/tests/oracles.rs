@@ -1,11 +1,11 @@
 //! Closed forms on both backends: 64 independent scrambles of 1,024 rays at the points of the oracle scenes.
 
 use glam::DVec3;
-use kiln_bake::{ProbePoint, probe};
-use kiln_core::{BakeSettings, Digest, Kernel, Mesh, codec};
+use kiln_bake::{ProbePoint, RegionGather, gather_regions, probe};
+use kiln_core::{BakeSettings, Bounds, Digest, Kernel, Mesh, Region, RegionSamples, RegionSettings, codec};
 use kiln_gpu::{AdapterChoice, GpuDevice, GpuTracer};
 use kiln_scene::example::{Oracle, build, oracles};
-use kiln_trace::{CpuTracer, MeshBvh, Scene, SceneObject, Tracer};
+use kiln_trace::{CpuTracer, KernelRates, MeshBvh, Scene, SceneObject, Tracer};
 use std::{collections::BTreeMap, sync::Arc};
 
 const HALF_DISTANCES_M: [f64; 2] = [2.0, 300.0];
@@ -80,4 +80,40 @@ fn the_gpu_meets_the_closed_forms() {
     let device = GpuDevice::open(&AdapterChoice::Software).expect("the driver opens");
     let device = device.expect("a software Vulkan driver: apt-get install -y mesa-vulkan-drivers libvulkan1");
     check_all(|scene| Box::new(GpuTracer::new(Arc::clone(&device), scene).expect("the scene fits")));
+}
+
+/// Visibility regions of the courtyard: the same points are valid, and see the same.
+#[test]
+fn both_backends_see_the_same_in_regions() {
+    let device = GpuDevice::open(&AdapterChoice::Software).expect("the driver opens");
+    let device = device.expect("this test needs a software Vulkan driver, such as mesa-vulkan-drivers");
+    let (scene, origin) = scene("courtyard");
+    let region = |x: f64| Region {
+        id: format!("at {x}"),
+        bounds: Bounds { min: DVec3::new(x, -0.5, -6.0) - origin, max: DVec3::new(x + 8.0, 4.0, 6.0) - origin },
+        valid: None,
+    };
+    let gather = RegionGather {
+        kernel: KernelRates::new(&Kernel::Obscurance { half_distances_m: HALF_DISTANCES_M.to_vec() }),
+        settings: RegionSettings::default(),
+        is_adaptive: true,
+        seed: 1,
+    };
+    let found = |tracer: &dyn Tracer| gather_regions(tracer, &[region(-8.0), region(0.0)], &gather).expect("it traces");
+    let on_processor = found(&CpuTracer::new(Arc::clone(&scene)));
+    let on_card = found(&GpuTracer::new(device, &scene).expect("the scene fits"));
+    let (on_processor, on_card) = (by_point(&on_processor), by_point(&on_card));
+    // Rays that graze an edge may go by it on one of them, and a point at the limit of back faces be dropped.
+    let both: Vec<_> = on_processor.iter().filter_map(|(at, values)| Some((values, on_card.get(at)?))).collect();
+    assert!(both.len() > 200 && on_processor.len() + on_card.len() <= 2 * both.len() + 2, "{}", both.len());
+    let squares = both.iter().flat_map(|(a, b)| a.iter().zip(*b)).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+    let rms = (squares / (18 * both.len()) as f64).sqrt();
+    assert!(rms < 1e-3, "{rms}");
+}
+
+/// What each valid point of each region sees.
+fn by_point(samples: &RegionSamples) -> BTreeMap<(usize, usize), &[f32]> {
+    let points =
+        samples.valid.iter().enumerate().flat_map(|(region, valid)| valid.iter().map(move |index| (region, index)));
+    points.zip(samples.values.chunks(18)).collect()
 }

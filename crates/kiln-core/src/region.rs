@@ -115,7 +115,7 @@ impl Default for RegionSettings {
     fn default() -> Self {
         Self {
             rays_per_point: 1024,
-            smoothing: 1.0,
+            smoothing: 0.1,
             sweeps: 8,
             min_points: 8,
             min_volume_m3: 1.0,

@@ -46,7 +46,7 @@ fn golden_import() {
     let import = rich().import().unwrap();
     let digest = Digest::of(&codec::encode(&import.level));
     assert_eq!(import.level.instances.len(), 3);
-    assert_eq!(digest.to_string(), "b7a9087939f28f788a8cf74c0c7f420953a537d16e0e6806ac1aa3e9999eb538");
+    assert_eq!(digest.to_string(), "8b8fa08b974081a34c7a71c5ded5b0a4d97fb28f8d706a004edd1970461c088a");
 }
 
 proptest! {

@@ -29,7 +29,7 @@
 //! center_m = [8.0, 1.0, 3.0]
 //!
 //! [region_models]                   # how their models are found
-//! smoothing = 1.0
+//! smoothing = 0.1
 //!
 //! [gates]                           # a bake that misses one ends with exit code 4
 //! max_rmse = 0.006

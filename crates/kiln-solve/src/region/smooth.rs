@@ -51,7 +51,7 @@ pub struct SmoothParams {
 
 impl Default for SmoothParams {
     fn default() -> Self {
-        Self { smoothing: 1.0, sweeps: 8, tolerance: 1e-3, norm: SmoothNorm::Points }
+        Self { smoothing: 0.1, sweeps: 8, tolerance: 1e-3, norm: SmoothNorm::Points }
     }
 }
 
