@@ -95,8 +95,14 @@ impl Default for MakeSettings {
 const USUAL_HEIGHT_M: f64 = 10.0;
 const USUAL_EDGE_M: f64 = 16.0;
 
+/// Longest edge of boxes where nothing is said, at least so many cells: a city of large cells has large boxes.
+const LEAST_EDGE: f64 = 32.0;
+
 /// The smallest space that counts, if nothing is said, cells.
 const USUAL_SPACE: usize = 27;
+
+/// Parts of spaces that are looked at for backs of faces, at most.
+const PARTS_LOOKED_AT: usize = 4000;
 
 /// Settings in cells.
 #[derive(Clone, Copy, Debug)]
@@ -114,7 +120,7 @@ impl MakeSettings {
 
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "casts saturate")]
     fn scale(&self, extent_m: f64, cell_m: f64) -> Scale {
-        let edge_m = self.max_edge_m.unwrap_or_else(|| USUAL_EDGE_M.min(extent_m / 2.0));
+        let edge_m = self.max_edge_m.unwrap_or_else(|| USUAL_EDGE_M.min(extent_m / 2.0).max(LEAST_EDGE * cell_m));
         let cells = |length: f64| ((length / cell_m).round() as usize).max(1);
         let least_space = self.min_volume_m3.map_or(USUAL_SPACE, |volume| (volume / cell_m.powi(3)).ceil() as usize);
         Scale { height: cells(self.height_over(extent_m)), edge: cells(edge_m), least_space }
@@ -228,8 +234,12 @@ pub fn make_regions(
     let mut back_facing = 0;
     if settings.seeds.is_empty() {
         // Where a space leaks into something solid, that is in boxes of its own.
-        let mut boxes = split::split(&voxels, scale.edge, settings.max_regions.saturating_mul(2)).boxes;
+        let mut boxes = split::split(&voxels, scale.edge, PARTS_LOOKED_AT).boxes;
         back_facing = spaces::drop_backs(&mut voxels, tracer, settings, &mut boxes)?;
+        if boxes.is_empty() {
+            let back_facing = spaces.back_facing + spaces.kept;
+            return Err(MakeError::NoSpace { back_facing, small: spaces.small, shells: spaces.shells });
+        }
     }
     rooms::find_rooms(&mut voxels);
     let parts = split::split(&voxels, scale.edge, settings.max_regions);

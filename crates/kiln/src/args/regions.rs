@@ -31,7 +31,7 @@ pub(crate) struct RegionsArgs {
     /// How far above the ground regions reach under the open sky, metres [default: 10, or a fifth of a smaller level]
     #[arg(long, value_name = "METRES", value_parser = positive)]
     pub(crate) height: Option<f64>,
-    /// Longest edge of a region, metres [default: 16, or half of a smaller level]
+    /// Longest edge of a region, metres [default: 16, or half of a smaller level, or 32 cells if that is more]
     #[arg(long, value_name = "METRES", value_parser = positive)]
     pub(crate) max_edge: Option<f64>,
     /// Leave out spaces with less volume, cubic metres [default: 27 cells]
