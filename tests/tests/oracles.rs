@@ -106,7 +106,8 @@ fn both_backends_see_the_same_in_regions() {
     // Rays that graze an edge may go by it on one of them, and a point at the limit of back faces be dropped.
     let both: Vec<_> = on_processor.iter().filter_map(|(at, values)| Some((values, on_card.get(at)?))).collect();
     assert!(both.len() > 200 && on_processor.len() + on_card.len() <= 2 * both.len() + 2, "{}", both.len());
-    let squares = both.iter().flat_map(|(a, b)| a.iter().zip(*b)).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+    let squares =
+        both.iter().flat_map(|(a, b)| a.iter().zip(b.iter())).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
     let rms = (squares / (18 * both.len()) as f64).sqrt();
     assert!(rms < 1e-3, "{rms}");
 }

@@ -135,7 +135,16 @@ pub struct Regions {
     pub settings: RegionSettings,
 }
 
+/// Rays that find the valid points of a region, about: one from each candidate to each neighbour, and 64 from a few.
+const FINDING_RAYS: u64 = 16 * CANDIDATES as u64;
+
 impl Regions {
+    /// Rays of a region at most; where its valid points are to be found, of all of them, and those that find them.
+    pub fn rays_of(&self, region: &Region, is_adaptive: bool) -> u64 {
+        let (points, more) = region.valid.map_or((CANDIDATES, FINDING_RAYS), |valid| (valid.count(), 0));
+        points as u64 * u64::from(self.settings.rays_of_each(points, is_adaptive)) + more
+    }
+
     /// Keeps some regions, and the edges between them.
     pub fn retain(&mut self, keep: impl Fn(&Region) -> bool) {
         let mut kept = 0;

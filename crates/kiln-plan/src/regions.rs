@@ -1,16 +1,11 @@
 //! Tasks of visibility regions: what can be seen in them, and their models. A level without regions has none of these.
 
 use crate::{PlanError, Planner, Reach};
-use kiln_core::{
-    CANDIDATES, DigestBuilder, ModelWork, Output, PlannedTask, Region, RegionsWork, SkipRule, TaskKind, Work,
-};
+use kiln_core::{DigestBuilder, ModelWork, Output, PlannedTask, Region, RegionsWork, SkipRule, TaskKind, Work};
 use std::ops::Range;
 
 /// Rays of one task of regions, about: those of one with all candidates, so that an edit of a region redoes no others.
 const REGION_RAYS: u64 = 1 << 16;
-
-/// Rays that find a region's valid points, about: 32 for each candidate, and one to each neighbour.
-const FINDING_RAYS: u64 = 48 * CANDIDATES as u64;
 
 impl Planner<'_> {
     /// Adds the tasks of the level's regions.
@@ -34,11 +29,8 @@ impl Planner<'_> {
         Ok(())
     }
 
-    /// Rays of a region at most; where its valid points are to be found, of all of them, and those that find them.
     fn rays_of(&self, region: &Region) -> u64 {
-        let (points, more) = region.valid.map_or((CANDIDATES, FINDING_RAYS), |valid| (valid.count(), 0));
-        let is_adaptive = !self.level.sampling.no_skip.contains(&SkipRule::Adaptive);
-        points as u64 * u64::from(self.level.regions.settings.rays_of_each(points, is_adaptive)) + more
+        self.level.regions.rays_of(region, !self.level.sampling.no_skip.contains(&SkipRule::Adaptive))
     }
 
     fn add_region_run(&mut self, run: Range<usize>, reach: &Reach) -> Result<u32, PlanError> {

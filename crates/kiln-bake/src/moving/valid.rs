@@ -1,9 +1,10 @@
 //! Which candidates of a region are in its free space.
 //!
 //! A region is a box that a visibility system made: it holds what is behind a slanted wall, and the inside of walls, too.
-//! A candidate is valid if it lies in nothing solid and in the free space that holds most of the region: neighbours that
-//! see each other are together, and a point that is apart is let in if some point of that space sees it. A few rays say
-//! what is solid; what they let pass is found out when the point is traced.
+//! Neighbours that see each other are together, on the same side of all surfaces. Of these groups the one with the most
+//! points that see few back faces is the region's free space: some points of each say how many do. A point that is apart
+//! from it is let in if some point of it sees it. Single points that see too many back faces all the same are found out when
+//! they are traced.
 
 use super::RegionGather;
 use crate::scramble::point_scramble;
@@ -11,17 +12,14 @@ use glam::{DVec3, Vec3};
 use kiln_core::{CANDIDATES, CANDIDATES_PER_AXIS, CandidateBits, Region};
 use kiln_trace::{Ray, SpherePoint, SphereSums, TraceError, Tracer};
 
-/// Rays that say whether a point lies in something solid.
-const PROBE_RAYS: u32 = 32;
+/// Points of a group that say whether it lies in something solid.
+const PROBES: usize = 16;
 
-/// Part of these that must see back faces for it: in the open even a quarter is too much, and 32 rays are 0.08 off.
-const SOLID: f64 = 0.5;
+/// Rays of each: as many as are traced together.
+const PROBE_RAYS: u32 = 64;
 
 /// Points of the free space, the nearest ones, that are asked whether they see one that is apart from it.
 const WITNESSES: usize = 16;
-
-/// No component.
-const NONE: u16 = u16::MAX;
 
 /// Finds the candidates that are in a region's free space: all of [`Region::valid`], where that is given.
 pub(super) fn valid(
@@ -33,26 +31,15 @@ pub(super) fn valid(
         return Ok(valid);
     }
     let points: Vec<DVec3> = (0..CANDIDATES).map(|index| region.candidate(index)).collect();
-    let solid = back_fractions(tracer, &points, settings)?;
-    let is_free: Vec<bool> = solid.iter().map(|fraction| *fraction < SOLID).collect();
-    let component = components(tracer, &points, &is_free)?;
-    let Some(main) = largest(&component, &solid, settings.settings.back_face_limit) else {
-        return Ok(CandidateBits::default());
-    };
+    let groups = groups(&components(tracer, &points)?);
+    let Some(main) = freest(tracer, &points, groups, settings)? else { return Ok(CandidateBits::default()) };
     let mut bits = CandidateBits::default();
-    (0..CANDIDATES).filter(|index| component[*index] == main).for_each(|index| bits.insert(index));
-    let apart: Vec<usize> = (0..CANDIDATES).filter(|index| is_free[*index] && component[*index] != main).collect();
+    main.into_iter().for_each(|index| bits.insert(index));
+    let apart: Vec<usize> = (0..CANDIDATES).filter(|index| !bits.contains(*index)).collect();
     for index in seen_from(tracer, &points, &bits, &apart)? {
         bits.insert(index);
     }
     Ok(bits)
-}
-
-fn back_fractions(tracer: &dyn Tracer, points: &[DVec3], settings: &RegionGather) -> Result<Vec<f64>, TraceError> {
-    let spheres: Vec<SpherePoint> = points.iter().map(|point| sphere(*point, settings.seed)).collect();
-    let mut sums = vec![SphereSums::default(); spheres.len()];
-    tracer.gather_sphere(&spheres, &settings.kernel, PROBE_RAYS, &mut sums)?;
-    Ok(sums.iter().map(SphereSums::back_face_fraction).collect())
 }
 
 /// A point's sphere: its directions depend on where it is and on the seed.
@@ -60,13 +47,11 @@ pub(super) fn sphere(point: DVec3, seed: u64) -> SpherePoint {
     SpherePoint { origin: point.as_vec3(), scramble: point_scramble(point, seed) }
 }
 
-/// The lowest index in each free point's component, in which neighbours (by faces, edges and corners) see each other.
-fn components(tracer: &dyn Tracer, points: &[DVec3], is_free: &[bool]) -> Result<Vec<u16>, TraceError> {
-    let pairs: Vec<[usize; 2]> =
-        (0..CANDIDATES).flat_map(neighbours_after).filter(|pair| pair.iter().all(|index| is_free[*index])).collect();
+/// The lowest index in each point's component, in which neighbours (by faces, edges and corners) see each other.
+fn components(tracer: &dyn Tracer, points: &[DVec3]) -> Result<Vec<u16>, TraceError> {
+    let pairs: Vec<[usize; 2]> = (0..CANDIDATES).flat_map(neighbours_after).collect();
     let blocked = blocked(tracer, pairs.iter().map(|[a, b]| [points[*a], points[*b]]))?;
-    let mut component: Vec<u16> =
-        is_free.iter().zip(0..).map(|(free, index)| if *free { index } else { NONE }).collect();
+    let mut component: Vec<u16> = (0..CANDIDATES as u16).collect();
     // The lowest index spreads; each pass goes both ways, so that few are needed.
     loop {
         let mut changed = false;
@@ -98,13 +83,40 @@ fn neighbours_after(index: usize) -> impl Iterator<Item = [usize; 2]> {
     })
 }
 
-/// The component with the most points that are good for sure; of equals the one with the lowest index.
-fn largest(component: &[u16], back_fractions: &[f64], limit: f64) -> Option<u16> {
-    let mut count = [0u32; CANDIDATES];
-    let good = component.iter().zip(back_fractions).filter(|(of, fraction)| **of != NONE && **fraction <= limit);
-    good.for_each(|(of, _)| count[usize::from(*of)] += 1);
-    let most = count.iter().copied().max().filter(|most| *most > 0)?;
-    (0..).zip(&count).find(|(_, count)| **count == most).map(|(of, _)| of)
+/// The points of each component, ascending; the largest first, of equals the one with the lowest index.
+fn groups(component: &[u16]) -> Vec<Vec<usize>> {
+    let mut groups = vec![Vec::new(); component.len()];
+    component.iter().enumerate().for_each(|(index, of)| groups[usize::from(*of)].push(index));
+    groups.retain(|group| !group.is_empty());
+    groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
+    groups
+}
+
+/// The group with the most points that see few back faces, as far as some of its points tell; none if none of them does.
+fn freest(
+    tracer: &dyn Tracer,
+    points: &[DVec3],
+    groups: Vec<Vec<usize>>,
+    settings: &RegionGather,
+) -> Result<Option<Vec<usize>>, TraceError> {
+    let mut best: (f64, Option<Vec<usize>>) = (0.0, None);
+    for group in groups {
+        // They come by size, so that no later one has more.
+        if group.len() as f64 <= best.0 {
+            break;
+        }
+        let step = group.len().div_ceil(PROBES);
+        let asked = group.iter().skip(step / 2).step_by(step);
+        let spheres: Vec<SpherePoint> = asked.map(|index| sphere(points[*index], settings.seed)).collect();
+        let mut sums = vec![SphereSums::default(); spheres.len()];
+        tracer.gather_sphere(&spheres, &settings.kernel, PROBE_RAYS, &mut sums)?;
+        let good = sums.iter().filter(|sum| sum.back_face_fraction() <= settings.settings.back_face_limit).count();
+        let good = (group.len() * good) as f64 / sums.len() as f64;
+        if good > best.0 {
+            best = (good, Some(group));
+        }
+    }
+    Ok(best.1)
 }
 
 /// Those of the points apart that some of the nearest members see.
@@ -154,14 +166,9 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_component_is_that_of_good_points() {
-        let mut component = vec![NONE; CANDIDATES];
-        component[..5].copy_from_slice(&[0, 0, 0, 3, 3]);
-        let mut backs = vec![0.0; CANDIDATES];
-        assert_eq!(largest(&component, &backs, 0.25), Some(0));
-        backs[..2].fill(0.3);
-        assert_eq!(largest(&component, &backs, 0.25), Some(3));
-        backs.fill(1.0);
-        assert_eq!(largest(&component, &backs, 0.25), None);
+    fn groups_are_components_by_size() {
+        let mut component: Vec<u16> = vec![5, 1, 1, 5, 5, 5];
+        component.extend([6, 7]);
+        assert_eq!(groups(&component), [vec![0, 3, 4, 5], vec![1, 2], vec![6], vec![7]]);
     }
 }

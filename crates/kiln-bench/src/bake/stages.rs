@@ -51,7 +51,7 @@ pub(super) fn rows(report: &Report) -> Vec<Row> {
     };
     let (build, load) = (part("building"), part("loading"));
     let geometry = format!("Process geometry, {} V, {} F", millions(counts.vertices), millions(counts.faces));
-    let rays = format!("Ray trace samples, {} rays", millions(report.rays.traced));
+    let rays = format!("Ray trace samples; {} rays in all stages", millions(report.rays.traced));
     let samples = format!("Sample mesh, {} samples: points, moments, rounds", millions(report.samples.total));
     let tracing = |name: &str| report.stage(name).map_or(0.0, |stage| stage.part("tracing").cpu_seconds);
     let beside = ["volume", "points", "regions", "read", "resample"].map(tracing);

@@ -48,7 +48,7 @@ impl Figures {
             rays,
             mrays_per_cpu_second: if all_rays > 0.0 { 1e-6 * rays / all_rays } else { 0.0 },
             handling: cpu(&[Kind::Plan, Kind::Load, Kind::Samples, Kind::Other]) / threads_secs,
-            rest: (1.0 - (tracing + cpu(&[Kind::Solve, Kind::Foliage])) / threads_secs).max(0.0),
+            rest: (1.0 - (tracing + cpu(&[Kind::Solve, Kind::Foliage, Kind::Regions])) / threads_secs).max(0.0),
             busy: all / threads_secs,
             memory_gib: report.peak_memory_bytes.map(|bytes| bytes as f64 / f64::from(1 << 30)),
             rmse: report.error_estimate.rmse.iter().copied().fold(0.0, f64::max),

@@ -8,7 +8,7 @@ use crate::{
     source::Source,
 };
 use kiln_bake::FaceAreas;
-use kiln_core::{Digest, Level, Mesh, codec};
+use kiln_core::{Digest, Level, Mesh, SkipRule, codec};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -70,7 +70,9 @@ fn estimate(level: &Level, meshes: &Meshes, threads: usize) -> Estimate {
         let of_face = |face: usize| u64::from(areas.samples(face, density, &level.sampling)) * sides(face);
         samples += (0..mesh.faces.len()).map(of_face).sum::<u64>();
     }
-    let rays = samples * u64::from(level.sampling.rays_per_sample);
+    let is_adaptive = !level.sampling.no_skip.contains(&SkipRule::Adaptive);
+    let of_regions = level.regions.regions.iter().map(|region| level.regions.rays_of(region, is_adaptive)).sum::<u64>();
+    let rays = samples * u64::from(level.sampling.rays_per_sample) + of_regions;
     let memory_bytes = level.counts.unique_faces * BYTES_PER_UNIQUE_FACE + level.counts.faces * BYTES_PER_FACE;
     Estimate { samples, rays, seconds: rays as f64 / (RAYS_PER_CORE_SECOND * threads as f64), memory_bytes }
 }
@@ -82,6 +84,10 @@ fn print(level: &Level, masks: &Masks, estimate: &Estimate, common: &Common) {
         let report = json!({
             "level": counts, "origin_m": level.origin_m.to_array(), "sampling": level.sampling,
             "solve": level.solve, "output": level.output, "warnings": level.warnings, "masks": masks,
+            "regions": {
+                "regions": level.regions.regions.len(), "edges": level.regions.edges.len(),
+                "settings": level.regions.settings,
+            },
             "estimate": {
                 "samples": estimate.samples, "rays": estimate.rays,
                 "seconds": estimate.seconds, "memory_bytes": estimate.memory_bytes,
@@ -100,6 +106,10 @@ fn print(level: &Level, masks: &Masks, estimate: &Estimate, common: &Common) {
     if masks.faces > 0 {
         let sizes: Vec<String> = masks.sizes.iter().map(|[width, height]| format!("{width} × {height}")).collect();
         println!("faces with holes: {} of distinct meshes, by masks of {}", masks.faces, sizes.join(", "));
+    }
+    let (regions, edges) = (level.regions.regions.len(), level.regions.edges.len());
+    if regions > 0 {
+        println!("{regions} visibility regions, {edges} edges between them");
     }
     let size = level.bounds.max - level.bounds.min;
     if !level.bounds.is_empty() {
