@@ -7,6 +7,9 @@ use std::ops::Range;
 /// Rays of one task of regions, about: those of one with all candidates, so that an edit of a region redoes no others.
 const REGION_RAYS: u64 = 1 << 16;
 
+/// Tasks of a level's regions, about, at most: where there are more regions than that, tasks have more of them.
+const MOST_RUNS: u64 = 100_000;
+
 impl Planner<'_> {
     /// Adds the tasks of the level's regions.
     pub(crate) fn add_regions(&mut self, reach: &Reach) -> Result<(), PlanError> {
@@ -54,12 +57,14 @@ impl Planner<'_> {
 /// Regions that follow one another and have the same surroundings, as many together as make a task.
 fn runs(regions: &[Region], rays_of: &dyn Fn(&Region) -> u64, reach: &Reach) -> Vec<Range<usize>> {
     let mut runs: Vec<Range<usize>> = Vec::new();
+    let all = regions.iter().map(rays_of).sum::<u64>();
+    let most = REGION_RAYS.max(all / MOST_RUNS);
     let mut rays = 0;
     for (index, region) in regions.iter().enumerate() {
         let more = rays_of(region);
         let group = reach.group_of_region(index);
         match runs.last_mut() {
-            Some(run) if reach.group_of_region(run.start) == group && rays + more <= REGION_RAYS => {
+            Some(run) if reach.group_of_region(run.start) == group && rays + more <= most => {
                 run.end = index + 1;
                 rays += more;
             }

@@ -12,7 +12,7 @@ use kiln_bake::{RegionGather, gather_regions};
 use kiln_core::{Digest, FoliageMode, Kernel, Level, RegionModels, RegionSamples, SkipRule};
 use kiln_solve::{
     model_regions,
-    region::{CenterRule, RegionFit, RegionPoints, fit_region},
+    region::{CenterRule, RegionFit, fit_region, region_points},
 };
 use kiln_trace::Tracer;
 use kiln_worker::tasks::{Backend, LoadedLevel};
@@ -158,7 +158,7 @@ fn measure(path: &Path, args: &Args) -> Result<Found, BenchError> {
     let began = Instant::now();
     let models = model_regions(&level.regions, &samples).map_err(|error| failed(error.to_string()))?;
     let model_secs = began.elapsed().as_secs_f64();
-    let points = points(level, &samples).map_err(|error| failed(error.to_string()))?;
+    let points = region_points(&level.regions.regions, &samples).map_err(|error| failed(error.to_string()))?;
     let held_out = HeldOut::trace(level, tracer, &samples, args).map_err(|error| failed(error.to_string()))?;
     let fits: Vec<Vec<RegionFit>> =
         RULES.iter().map(|(rule, _)| points.par_iter().map(|points| fit_region(points, *rule)).collect()).collect();
@@ -191,19 +191,6 @@ fn gather(level: &Level, tracer: &dyn Tracer) -> Result<RegionSamples, kiln_trac
     let regions = level.regions.regions.par_iter();
     let runs = regions.map(|region| gather_regions(tracer, std::slice::from_ref(region), &settings));
     Ok(RegionSamples::joined(level.sampling.kernel.channel_count(), runs.collect::<Result<Vec<_>, _>>()?))
-}
-
-/// The points of each region, for fits.
-fn points(level: &Level, samples: &RegionSamples) -> Result<Vec<RegionPoints>, kiln_solve::region::RegionError> {
-    let channels = samples.channels as usize;
-    let mut values = samples.values.as_slice();
-    let mut points = Vec::with_capacity(level.regions.regions.len());
-    for (region, valid) in level.regions.regions.iter().zip(&samples.valid) {
-        let (of_region, rest) = values.split_at(valid.count() * channels * kiln_core::REGION_HARMONICS);
-        values = rest;
-        points.push(RegionPoints::new(region, valid, of_region, channels)?);
-    }
-    Ok(points)
 }
 
 fn half_distances(kernel: &Kernel) -> String {

@@ -40,7 +40,7 @@ pub use absorb::{Absorbed, absorb};
 pub use error::RegionError;
 pub use fit::{CenterRule, RegionFit, fit_region};
 pub use harmonics::OPEN_SKY;
-pub use level::model_regions;
+pub use level::{Traced, model_points, model_regions, region_points};
 pub use points::RegionPoints;
 pub use smooth::{SmoothNorm, SmoothParams, Smoothed, Smoother, smooth};
 pub use table::{jumps, region_errors};

@@ -37,7 +37,7 @@ pub(crate) fn draw(
             surface.render_ball(&camera, &Ball { center: place, radius_m: path.radius_m }, &shades, lights.len(), size)
         })
         .collect();
-    let mut columns = columns.into_iter().map(Image::stacked);
+    let mut columns = columns.iter().map(|column| Image::stacked(column));
     let first = columns.next().unwrap_or_else(|| Image { width: 0, height: 0, rgb: Vec::new() });
     columns.fold(first, |left, right| left.beside(&right))
 }

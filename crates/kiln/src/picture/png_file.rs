@@ -23,7 +23,7 @@ impl Image {
     }
 
     /// Pictures of the same width, one below the other, with light lines between.
-    pub(crate) fn stacked(pictures: Vec<Self>) -> Self {
+    pub(crate) fn stacked(pictures: &[Self]) -> Self {
         let width = pictures.iter().map(|picture| picture.width).max().unwrap_or(0);
         let line = vec![230; 3 * LINE * width as usize];
         let rows: Vec<Vec<u8>> = pictures.iter().map(|picture| picture.rgb.clone()).collect();

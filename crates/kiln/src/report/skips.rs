@@ -62,6 +62,7 @@ mod tests {
             meshes: Vec::new(),
             foliage: kiln_core::FoliageSummary::default(),
             lods: kiln_core::LodSummary::default(),
+            regions: None,
             warnings: Vec::new(),
         }
     }
