@@ -136,3 +136,25 @@ fn requests_are_answered_once_and_bakes_can_be_cancelled() {
     // A coordinator that others can reach wants a token.
     assert!(place.fail(2, &["serve", "--listen", "0.0.0.0:0"]).contains("token"));
 }
+
+#[test]
+fn a_farm_makes_the_same_pack() {
+    let place = Workplace::new();
+    place.succeed(&["example", "courtyard", "-o", "level.glb"]);
+    let region =
+        |id: &str, x: i32| format!("[[region]]\nid = \"{id}\"\nmin_m = [{x}, 0, -8]\nmax_m = [{}, 4, 8]\n", x + 8);
+    let sidecar = [region("west", -8), region("east", 0)].concat();
+    std::fs::write(place.path("level.kiln.toml"), sidecar).expect("a file can be written");
+    let bake = ["bake", "level.glb", "-o", "local.glb", "--pack", "local.kiln", "--quality", "low", "--backend", "cpu"];
+    place.succeed(&bake);
+    let (_server, address) = serve(&place);
+    let _workers = [worker(&place, &address, "a"), worker(&place, &address, "b")];
+    let submit = ["submit", "level.glb", "--coordinator", &address, "--quality", "low", "--backend", "cpu"];
+    place.succeed(&[&submit[..], &["--wait", "-o", "farm.glb", "--pack", "farm.kiln"]].concat());
+    assert!(place.read("farm.kiln") == place.read("local.kiln"), "a farm's pack differs");
+    assert!(place.read("farm.glb") == place.read("local.glb"), "a farm's file differs");
+    // A level with regions has a pack without being asked, and it lies beside the file.
+    let bake = list(&place, &address)[0]["bake"].as_str().expect("an id").to_owned();
+    place.succeed(&["fetch", &bake, "--coordinator", &address, "-o", "again.glb"]);
+    assert!(place.read("again.kiln") == place.read("local.kiln"));
+}

@@ -92,6 +92,21 @@ fn regions_are_modelled_and_an_engine_is_lit_by_them() {
     assert_eq!((misses("regions"), misses("trace"), misses("model")), (Some(0), Some(0), Some(1)));
     assert_eq!(report["regions"]["errors"][0]["smoothed"], report["regions"]["errors"][0]["refined"]);
 
+    // What the models say beside what is traced.
+    let points = json!({ "points": [{ "position": [0.0, 8.0, 0.0], "normal": [0.0, -2.0, 0.0] }] });
+    std::fs::write(place.path("points.json"), points.to_string()).expect("a file can be written");
+    let probe = ["probe", "level.glb", "--points", "points.json", "--pack", "one.kiln", "--backend", "cpu", "--json"];
+    let probed: Value = serde_json::from_str(&place.succeed(&probe)).expect("JSON");
+    let point = &probed["points"][0];
+    let close = |channel: usize| {
+        let [traced, model] = [&point["ao"], &point["model"]["ao"]].map(|ao| ao[channel].as_f64().expect("a number"));
+        (traced - model).abs() < 0.15
+    };
+    assert!(
+        point["model"]["region"] == "sky" && point["model"]["distance_m"] == 0.0 && close(0) && close(1),
+        "{point}"
+    );
+
     let path = json!({ "points": [[-6.0, 1.2, -5.0], [6.0, 1.2, 5.0]], "pictures": 3 });
     std::fs::write(place.path("path.json"), path.to_string()).expect("a file can be written");
     let fly =
@@ -119,6 +134,9 @@ fn without_regions_there_is_none_of_it() {
     std::fs::write(place.path("path.json"), path.to_string()).expect("a file can be written");
     let fly = ["view", "out.glb", "--fly", "path.json", "--pack", "asked.kiln", "-o", "strip.png"];
     assert!(place.fail(3, &fly).contains("no models of visibility regions"));
+    std::fs::write(place.path("points.json"), json!({ "points": [] }).to_string()).expect("a file can be written");
+    let probe = ["probe", "out.glb", "--points", "points.json", "--pack", "asked.kiln", "--backend", "cpu"];
+    assert!(place.fail(3, &probe).contains("no models of regions"));
     let not_a_pack = ["view", "out.glb", "--fly", "path.json", "--pack", "out.glb", "-o", "strip.png"];
     assert!(place.fail(3, &not_a_pack).contains("out.glb: "));
 }

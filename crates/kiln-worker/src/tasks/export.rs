@@ -45,11 +45,13 @@ pub(super) fn run(spec: &ExportSpec, level: &LoadedLevel, artefacts: &dyn Artefa
     };
     let exported = kiln_scene::export(&request).map_err(|error| TaskError::Refused { reason: error.to_string() })?;
     let warnings = [level.level.warnings.clone(), filled, foliage.warnings(level), exported.warnings].concat();
-    let (pack, packed) = super::pack::pack(level, &values, &foliage, regions.as_ref())?.unzip();
+    let pack = super::pack::pack(level, &values, &foliage, regions.as_ref())?;
+    let warnings = warnings.into_iter().chain(pack.iter().filter_map(|pack| pack.warning.clone())).collect();
     let mut summary = summary(level, &indices, &solutions, &foliage, warnings);
     summary.trace.rays += regions.as_ref().map_or(0, |models| models.summary.rays);
     summary.regions = regions.map(|models| models.summary);
     let (file, bytes) = (Digest::of(&exported.glb), exported.glb.len() as u64);
+    let (pack, packed) = pack.map(|pack| (pack.file, pack.bytes)).unzip();
     let baked = Baked { file, bytes, pack, summary };
     let attachments = std::iter::once(exported.glb).chain(packed).collect();
     Ok(TaskOutput { result: codec::encode(&baked), attachments, rays: 0 })

@@ -4,13 +4,13 @@ use super::{LoadedLevel, outputs::FoliageOutputs};
 use crate::TaskError;
 use glam::DVec3;
 use kiln_core::{
-    Digest, InstanceNumbers, Kernel, Level, MeshEntry, PackFile, RegionModels, Remap, ValueFormat, VertexBlock,
+    Digest, InstanceNumbers, Kernel, Level, MeshEntry, PackFile, RegionModels, Remap, ValueFormat, VertexBlock, Warning,
 };
 use kiln_runtime::{
     Pack,
     write::{
         EdgeData, MetaData, ModelData, ModelForms, PackData, RegionData, RegionsData, RemapData, ScalarData,
-        TreeBlockData, TreeInstanceData, TreeModelData, ValueData, VertexSetData, write,
+        TreeBlockData, TreeInstanceData, TreeModelData, ValueData, VertexSetData, WriteError, write,
     },
 };
 use kiln_scene::{BakedInstance, BakedModel, NumberedInstance};
@@ -22,7 +22,7 @@ pub(super) fn pack(
     values: &[BakedInstance<'_>],
     foliage: &FoliageOutputs,
     regions: Option<&RegionModels>,
-) -> Result<Option<(PackFile, Vec<u8>)>, TaskError> {
+) -> Result<Option<Packed>, TaskError> {
     let of_level = &level.level;
     if !of_level.output.pack && regions.is_none() {
         return Ok(None);
@@ -38,7 +38,7 @@ pub(super) fn pack(
         regions: regions.map_or_else(no_regions, |models| regions_data(of_level, models)),
     };
     let failed = |reason: String| TaskError::Failed { reason: format!("the pack: {reason}") };
-    let bytes = write(&data).map_err(|error| failed(error.to_string()))?;
+    let (bytes, warning) = write_in_forms(data).map_err(|error| failed(error.to_string()))?;
     let written = Pack::new(&bytes).map_err(|error| failed(error.to_string()))?;
     let sizes = written
         .sizes()
@@ -47,7 +47,33 @@ pub(super) fn pack(
         })
         .collect();
     let file = PackFile { digest: Digest::of(&bytes), bytes: bytes.len() as u64, sizes };
-    Ok(Some((file, bytes)))
+    Ok(Some(Packed { file, bytes, warning }))
+}
+
+/// A pack that was written.
+pub(super) struct Packed {
+    pub(super) file: PackFile,
+    pub(super) bytes: Vec<u8>,
+    pub(super) warning: Option<Warning>,
+}
+
+/// Models in both forms, or in the full one alone where slopes are beyond half floats: those of levels far smaller than a
+/// metre.
+fn write_in_forms(mut data: PackData<'_>) -> Result<(Vec<u8>, Option<Warning>), WriteError> {
+    match write(&data) {
+        Err(WriteError::Half { model }) => {
+            data.regions.forms.engine = false;
+            let region = &data.regions.models[model].region;
+            let subject = data.regions.regions.get(*region as usize).map_or_else(String::new, |r| r.id.clone());
+            let message = format!(
+                "the model of the region {subject:?} changes so much in a metre that half floats cannot hold it: the pack has no models in \
+                 the engine's form; bake the level in metres"
+            );
+            let warning = Warning { code: "engine_models".into(), subject, message, count: 1 };
+            Ok((write(&data)?, Some(warning)))
+        }
+        written => Ok((written?, None)),
+    }
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "f32 is what an engine takes")]
@@ -165,5 +191,38 @@ fn regions_data(level: &Level, models: &RegionModels) -> RegionsData {
         edges: level.regions.edges.iter().map(edge).collect(),
         models: models.models.iter().zip(&models.region_of).map(model).collect(),
         forms: FORMS,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn data(slope: f32) -> PackData<'static> {
+        let meta = MetaData {
+            level_digest: [0; 32],
+            version: String::new(),
+            origin: [0.0; 3],
+            kernel: kiln_runtime::Kernel::Obscurance,
+            half_distances: vec![2.0],
+            blend: vec![1.0],
+            remap: RemapData::None,
+        };
+        let region = RegionData { id: "hall".into(), min: [0.0; 3], max: [1e-6; 3], model: 0 };
+        let coefficients = vec![[1.0, slope, 0.0, 0.0, 0.0, 0.0, 0.0]; 9];
+        let model = ModelData { region: 0, center: [0.0; 3], coefficients };
+        let regions = RegionsData { regions: vec![region], edges: Vec::new(), models: vec![model], forms: FORMS };
+        PackData { regions, ..PackData::new(meta) }
+    }
+
+    #[test]
+    fn models_that_half_floats_cannot_hold_have_the_full_form() {
+        let (bytes, warning) = write_in_forms(data(5.0)).unwrap();
+        assert!(warning.is_none() && Pack::new(&bytes).unwrap().engine_model(0).is_some());
+        let (bytes, warning) = write_in_forms(data(1e6)).unwrap();
+        let pack = Pack::new(&bytes).unwrap();
+        assert!(pack.engine_model(0).is_none() && pack.full_model(0).is_some());
+        assert!(warning.unwrap().message.contains("hall"));
+        assert!(write_in_forms(data(f32::NAN)).is_err());
     }
 }

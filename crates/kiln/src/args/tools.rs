@@ -37,6 +37,7 @@ pub(crate) struct CompareArgs {
 #[derive(Args, Debug)]
 #[command(after_help = "Examples:
   kiln probe level.glb --points points.json --half-distance 2,300 --rays 4096 --json
+  kiln probe level.glb --points points.json --pack baked.kiln
 points.json: {\"points\": [{\"position\": [x, y, z], \"normal\": [x, y, z]}]}, metres in world space, moved off the surface;
 \"geometric_normal\": [x, y, z] beside them leaves out directions below the surface. `kiln bench accuracy --points-out` writes such files")]
 pub(crate) struct ProbeArgs {
@@ -45,6 +46,9 @@ pub(crate) struct ProbeArgs {
     /// The points
     #[arg(long, value_name = "P.json")]
     pub(crate) points: PathBuf,
+    /// Say what the models of visibility regions in a pack say, too; the half-distances are the pack's
+    #[arg(long, value_name = "P.kiln")]
+    pub(crate) pack: Option<PathBuf>,
     /// Rays per point, rounded up to a power of two
     #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
     pub(crate) rays: u32,

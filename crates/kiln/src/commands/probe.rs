@@ -9,7 +9,8 @@ use crate::{
 use glam::DVec3;
 use kiln_bake::{ProbePoint, ProbeResult, probe};
 use kiln_core::BakeSettings;
-use serde::Deserialize;
+use kiln_runtime::{Pack, ao_quadratic};
+use serde::{Deserialize, Serialize};
 use std::{fs, path::Path};
 
 /// What else is in the file, such as what `kiln bench accuracy --points-out` writes, is left alone.
@@ -30,7 +31,15 @@ pub(crate) fn run(args: &ProbeArgs, common: &Common) -> Result<(), Failure> {
     super::use_threads(common)?;
     let points = read_points(&args.points)?;
     let source = Source::read(&args.level, args.sidecar.as_deref())?;
-    let half_distances_m = args.half_distance.0.clone();
+    let bytes = args.pack.as_deref().map(read).transpose()?;
+    let pack = bytes.as_deref().map(Pack::new).transpose();
+    let of_pack = || args.pack.as_deref().map_or_else(String::new, |path| path.display().to_string());
+    let pack = pack.map_err(|error| Failure::refused(format!("{}: {error}", of_pack())))?;
+    if pack.as_ref().is_some_and(|pack| pack.model_count() == 0) {
+        let advice = "bake a level that has visibility regions";
+        return Err(Failure::refused(format!("{} has no models of regions; {advice}", of_pack())));
+    }
+    let half_distances_m = args.half_distance.0.clone().or_else(|| pack.as_ref().map(half_distances));
     let settings = BakeSettings { half_distances_m, foliage: args.foliage.into(), ..BakeSettings::default() };
     let level = super::load(&source, &settings)?;
     let backend = super::choose_backend(common)?;
@@ -46,8 +55,42 @@ pub(crate) fn run(args: &ProbeArgs, common: &Common) -> Result<(), Failure> {
         .collect();
     let kernel = &level.level.sampling.kernel;
     let results = probe(&**tracer, &relative, kernel, args.rays, args.seed).map_err(anyhow::Error::from)?;
-    print(&points, &results, &channel_names(kernel), common);
+    let models = pack.map(|pack| points.iter().map(|point| Modelled::of(&pack, point)).collect::<Vec<_>>());
+    print(&points, &results, models.as_deref(), &channel_names(kernel), common);
     Ok(())
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, Failure> {
+    fs::read(path).map_err(|error| Failure::refused(format!("{}: {error}", path.display())))
+}
+
+fn half_distances(pack: &Pack<'_>) -> Vec<f64> {
+    pack.meta().half_distances().iter().map(|distance| f64::from(*distance)).collect()
+}
+
+/// What the model of a point's region says.
+#[derive(Serialize)]
+struct Modelled {
+    region: String,
+    /// How far the point is from the region's box, metres.
+    distance_m: f32,
+    /// For each half-distance of the pack.
+    ao: Vec<f32>,
+}
+
+impl Modelled {
+    /// Of a pack that has models.
+    fn of(pack: &Pack<'_>, point: &Point) -> Option<Self> {
+        let local = pack.meta().local(point.position);
+        let hit = pack.region_at(local, None)?;
+        let normal = DVec3::from(point.normal).normalize_or(DVec3::Y).as_vec3().to_array();
+        let channel = |channel| Some(ao_quadratic(pack.full_at(hit.region, local, channel)?, normal));
+        Some(Self {
+            region: pack.region_id(hit.region)?.to_owned(),
+            distance_m: hit.distance_m,
+            ao: (0..pack.meta().channels()).map(channel).collect::<Option<_>>()?,
+        })
+    }
 }
 
 fn read_points(path: &Path) -> Result<Vec<Point>, Failure> {
@@ -68,25 +111,41 @@ fn read_points(path: &Path) -> Result<Vec<Point>, Failure> {
 }
 
 #[expect(clippy::print_stdout, reason = "this is the command's output")]
-fn print(points: &[Point], results: &[ProbeResult], channels: &[String], common: &Common) {
+fn print(
+    points: &[Point],
+    results: &[ProbeResult],
+    models: Option<&[Option<Modelled>]>,
+    channels: &[String],
+    common: &Common,
+) {
+    let model = |index: usize| models.and_then(|models| models[index].as_ref());
     if common.json {
-        let one = |(point, result): (&Point, &ProbeResult)| {
-            serde_json::json!({
+        let one = |(index, (point, result)): (usize, (&Point, &ProbeResult))| {
+            let mut one = serde_json::json!({
                 "position": point.position,
                 "normal": point.normal,
                 "ao": result.ao,
                 "back_face_fraction": result.back_face_fraction,
-            })
+            });
+            if let Some(model) = model(index) {
+                one["model"] = serde_json::json!(model);
+            }
+            one
         };
-        let list: Vec<_> = points.iter().zip(results).map(one).collect();
+        let list: Vec<_> = points.iter().zip(results).enumerate().map(one).collect();
         println!("{}", serde_json::json!({ "points": list, "half_distances": channels }));
         return;
     }
     let header: String = channels.iter().map(|name| format!(" {name:>10}")).collect();
-    println!("{:>32}{header} back faces", "position");
-    for (point, result) in points.iter().zip(results) {
+    let of_models = if models.is_some() { " models" } else { "" };
+    println!("{:>32}{header} back faces{of_models}", "position");
+    for (index, (point, result)) in points.iter().zip(results).enumerate() {
         let [x, y, z] = point.position;
         let ao: String = result.ao.iter().map(|ao| format!(" {ao:10.6}")).collect();
-        println!("{x:10.4} {y:10.4} {z:10.4}{ao} {:9.4} ", result.back_face_fraction);
+        let model = model(index).map_or_else(String::new, |model| {
+            let ao: String = model.ao.iter().map(|ao| format!(" {ao:.6}")).collect();
+            format!("{ao} in {}", model.region)
+        });
+        println!("{x:10.4} {y:10.4} {z:10.4}{ao} {:9.4} {model}", result.back_face_fraction);
     }
 }
