@@ -80,6 +80,8 @@ pub struct TreeFits {
     pub voxels: u64,
     /// Rays traced at points.
     pub point_rays: u64,
+    /// It is a lower level of detail, read from the fits of the full one: it has no errors of its own.
+    pub is_lod: bool,
 }
 
 /// Errors of a model's instances against the signal that they were fitted to, for one channel: roots of weighted means of
@@ -125,6 +127,7 @@ mod tests {
             trace_lanes: BTreeSet::new(),
             voxels: 9,
             point_rays: 0,
+            is_lod: false,
         }
     }
 

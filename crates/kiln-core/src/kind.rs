@@ -54,10 +54,10 @@ impl TaskKind {
     pub const fn kernel_rev(self) -> u32 {
         match self {
             Self::Points | Self::Regions | Self::Model | Self::Read | Self::Resample => 1,
-            Self::Volume | Self::Fit => 2,
+            Self::Volume => 2,
+            Self::Fit => 3,
             Self::Solve => 4,
-            Self::Plan | Self::Export => 6,
-            Self::Import => 7,
+            Self::Import | Self::Plan | Self::Export => 7,
             Self::Trace => 8,
         }
     }

@@ -67,8 +67,10 @@ pub struct BakeSummary {
 /// What became of trees, shrubs and decorators.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, Default)]
 pub struct FoliageSummary {
-    /// Models of trees.
+    /// Models of trees, without lower levels of detail.
     pub models: Vec<ModelSummary>,
+    /// Models that are lower levels of detail of these, and have what these have.
+    pub lod_models: u64,
     /// Voxels around them that were traced.
     pub voxels: u64,
     /// Shrubs and decorators with one number.

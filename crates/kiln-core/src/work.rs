@@ -26,7 +26,7 @@ pub enum Work {
     /// Gives encoded [`RegionModels`]; takes the samples of all regions, in their order.
     Model(ModelWork),
     /// Gives encoded [`TreeFits`]; takes the [`Solution`] of its model alone, then all batches of the volume, or the values
-    /// at the points of all its instances.
+    /// at the points of all its instances; of a lower level of detail, the fits of the full one.
     Fit(FitWork),
     /// Gives an encoded `Vec<InstanceNumbers>`; takes the solutions of the instances around.
     Read(ReadWork),
@@ -269,6 +269,7 @@ impl Work {
             (Self::Fit(fit), Self::Points(points)) => points.mesh == fit.mesh,
             (Self::Fit(_), Self::Solve(solve)) => solve.alone,
             (Self::Fit(_), Self::Volume(_)) => true,
+            (Self::Fit(lod), Self::Fit(full)) => lod.mesh != full.mesh,
             (Self::Read(_), Self::Solve(solve)) => !solve.alone,
             (Self::Model(_), Self::Regions(_)) => true,
             (

@@ -7,6 +7,7 @@ use kiln_core::{
     Digest, DigestBuilder, FitWork, Output, PlannedTask, PointsWork, ReadWork, SolveWork, TaskKind, TraceWork,
     VolumeWork, Work,
 };
+use std::collections::BTreeMap;
 
 /// Rays of one task of points, about: as many as a piece's.
 const POINT_RAYS: u64 = 1 << 19;
@@ -35,6 +36,8 @@ pub struct ModelPlan {
     pub sampling: InstanceSampling,
     /// If its instances are fitted to what is traced on them, its points; else they are fitted to the volume.
     pub points: Option<u32>,
+    /// If it is a lower level of detail that is read from the fits of the full model, that one's mesh: nothing is traced for it.
+    pub full: Option<u32>,
 }
 
 /// Some bricks of the volume around trees.
@@ -74,14 +77,21 @@ impl Planner<'_> {
         reach: &Reach,
         solve_of: &[Option<u32>],
     ) -> Result<(), PlanError> {
-        let locals: Vec<u32> = plan.models.iter().map(|model| self.add_local(model)).collect();
+        let (lods, fulls): (Vec<&ModelPlan>, Vec<&ModelPlan>) =
+            plan.models.iter().partition(|model| model.full.is_some());
+        let locals: Vec<u32> = fulls.iter().map(|model| self.add_local(model)).collect();
         let volume: Vec<u32> = plan.volume.iter().map(|batch| self.add_batch(batch, reach)).collect();
-        for (model, local) in plan.models.iter().zip(locals) {
+        let mut fit_of: BTreeMap<u32, u32> = BTreeMap::new();
+        for (model, local) in fulls.into_iter().zip(locals) {
             let values = match model.points {
                 Some(point_count) => self.add_points(model, point_count, reach)?,
                 None => volume.clone(),
             };
-            self.add_fit(model, local, &values);
+            fit_of.insert(model.mesh, self.add_fit(model, std::iter::once(local).chain(values)));
+        }
+        for model in lods {
+            let full = model.full.and_then(|mesh| fit_of.get(&mesh));
+            self.add_fit(model, full.copied());
         }
         plan.runs.iter().try_for_each(|run| self.add_run(run, reach, solve_of))
     }
@@ -164,7 +174,7 @@ impl Planner<'_> {
         Ok(tasks)
     }
 
-    fn add_fit(&mut self, model: &ModelPlan, local: u32, values: &[u32]) {
+    fn add_fit(&mut self, model: &ModelPlan, inputs: impl IntoIterator<Item = u32>) -> u32 {
         let mesh = &self.level.meshes[model.mesh as usize];
         let mut family = DigestBuilder::new("kiln fit family");
         family.integer(u64::from(TaskKind::Fit.kernel_rev())).text(&self.lane.solve).digest(&mesh.digest);
@@ -174,12 +184,20 @@ impl Planner<'_> {
         let s = &self.level.sampling;
         family.integer(s.seed).integer(s.kernel.channel_count() as u64).value(&self.level.solve);
         family.value(&self.level.output.blend);
+        if let Some(full) = model.full {
+            family.text("level of detail").digest(&self.level.meshes[full as usize].digest);
+            for instance in &model.instances {
+                let full = self.level.instances[*instance as usize].lod_of.first();
+                full.into_iter()
+                    .for_each(|full| add_place(&mut family, &self.level.instances[*full as usize].world_from_object));
+            }
+        }
         let instances = model.instances.len() as u32;
         let work = FitWork { mesh: model.mesh, vertex_count: mesh.vertex_count, instance_count: instances };
         let cost = u64::from(instances) * u64::from(mesh.vertex_count);
         let output = Some(Output::Trees { mesh: model.mesh });
         let task = PlannedTask { output, ..PlannedTask::new(Work::Fit(work), family.finish(), cost) };
-        self.graph.add(task, std::iter::once(local).chain(values.iter().copied()));
+        self.graph.add(task, inputs)
     }
 
     fn add_run(&mut self, run: &RunPlan, reach: &Reach, solve_of: &[Option<u32>]) -> Result<(), PlanError> {
@@ -227,7 +245,7 @@ mod tests {
             trees: vec![1],
         };
         let foliage = FoliagePlan {
-            models: vec![ModelPlan { mesh: 1, instances: vec![1], scale: 1.0, sampling, points: None }],
+            models: vec![ModelPlan { mesh: 1, instances: vec![1], scale: 1.0, sampling, points: None, full: None }],
             volume: vec![batch(0), batch(2)],
             runs: vec![RunPlan { first: 0, instances: vec![2], near: vec![0], ray_count: 1024 }],
         };
@@ -264,6 +282,30 @@ mod tests {
         let mut moved = level.clone();
         moved.instances[0].world_from_object.translation.x += 0.5;
         let key = |graph: &TaskGraph| graph.key(&graph.tasks[6], &[]);
+        assert_ne!(key(&with_foliage(&moved, &foliage)), key(&graph));
+    }
+
+    #[test]
+    fn a_level_of_detail_of_a_tree_takes_the_fits_of_the_full_one() {
+        let (mut level, mut foliage) = planted();
+        level.meshes.push(kiln_core::MeshEntry { digest: Digest::of(b"lower"), ..level.meshes[1].clone() });
+        let lower = kiln_core::Instance { mesh: 2, lod_of: vec![1], ..level.instances[1].clone() };
+        level.instances.push(lower);
+        let full = foliage.models[0].clone();
+        foliage.models.insert(0, ModelPlan { mesh: 2, instances: vec![3], full: Some(1), ..full });
+        let graph = with_foliage(&level, &foliage);
+        graph.check(Digest::default()).unwrap();
+        let fits: Vec<u32> = (0..)
+            .zip(&graph.tasks)
+            .filter(|(_, task)| task.work.kind() == TaskKind::Fit)
+            .map(|(index, _)| index)
+            .collect();
+        assert_eq!((fits.len(), graph.inputs_of(fits[1])), (2, &fits[..1]));
+        assert_eq!(graph.tasks.iter().filter(|task| matches!(task.work, Work::Trace(piece) if piece.alone)).count(), 1);
+        // Where it stands beside the full one is in its key.
+        let mut moved = level.clone();
+        moved.instances[3].world_from_object.translation.y += 0.1;
+        let key = |graph: &TaskGraph| graph.key(&graph.tasks[fits[1] as usize], &[]);
         assert_ne!(key(&with_foliage(&moved, &foliage)), key(&graph));
     }
 

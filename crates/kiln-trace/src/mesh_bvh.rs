@@ -36,6 +36,11 @@ impl MeshBvh {
         Self::build_over(mesh, FaceGroup::is_solid)
     }
 
+    /// Builds over all faces of a mesh, those that stop no rays too: to find its surface.
+    pub fn build_whole(mesh: &Mesh) -> Self {
+        Self::build_over(mesh, |_| true)
+    }
+
     /// Builds over the faces of some groups.
     pub(crate) fn build_over(mesh: &Mesh, is_in: impl Fn(&FaceGroup) -> bool + Sync) -> Self {
         let ids = occluders(mesh, is_in);

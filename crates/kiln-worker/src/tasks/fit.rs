@@ -1,6 +1,6 @@
 //! Fit: the local AO of a model, and what its instances should have, to four numbers for each.
 
-use super::{LoadedLevel, trees};
+use super::{LoadedLevel, fit_lod, trees};
 use crate::{Artefacts, TaskError, TaskOutput};
 use kiln_bake::{
     ModelPoint, model_points, values_in_volume,
@@ -21,6 +21,9 @@ pub(super) fn run(
     artefacts: &dyn Artefacts,
 ) -> Result<TaskOutput, TaskError> {
     let model = level.trees()?.model_of(work.mesh)?;
+    if let Some(full) = &model.full {
+        return fit_lod::run(work, full, inputs, level, artefacts);
+    }
     let failed = |reason: String| TaskError::Failed { reason: format!("the model {}: {reason}", work.mesh) };
     let [local, rest @ ..] = inputs else { return Err(failed("it has no local AO".to_owned())) };
     let mesh = &level.meshes[work.mesh as usize];
@@ -92,6 +95,7 @@ impl Fitting<'_> {
             trace_lanes: self.local.summary.trace_lanes.clone(),
             voxels: 0,
             point_rays: 0,
+            is_lod: false,
         })
     }
 

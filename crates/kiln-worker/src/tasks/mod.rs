@@ -6,6 +6,7 @@ mod bvhs;
 mod counted;
 mod export;
 mod fit;
+mod fit_lod;
 mod import;
 mod levels;
 mod masks;

@@ -159,7 +159,8 @@ impl FoliageOutputs {
         FoliageSummary {
             bytes,
             bytes_at_vertices,
-            models: self.trees.iter().map(model).collect(),
+            models: self.trees.iter().filter(|(.., fits)| !fits.is_lod).map(model).collect(),
+            lod_models: self.trees.iter().filter(|(.., fits)| fits.is_lod).count() as u64,
             voxels: self.voxels(),
             scalars: self.scalars.len() as u64,
             open_scalars: self.open_scalars().count() as u64,

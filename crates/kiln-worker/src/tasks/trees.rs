@@ -43,6 +43,19 @@ pub(super) struct Model {
     pub(super) scale: f64,
     /// Its instances are fitted to what is traced on them, not to the volume.
     pub(super) is_traced: bool,
+    /// It is a lower level of detail: it has what the full model has, and nothing is traced for it.
+    pub(super) full: Option<Full>,
+}
+
+/// The full model of a lower level of detail.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Full {
+    /// Its mesh.
+    pub(super) mesh: u32,
+    /// For each instance of the lower level, the index among the full model's instances of the one that it stands for.
+    pub(super) instances: Vec<usize>,
+    /// From the object space of the lower level to that of the full model, the same for all instances.
+    pub(super) full_from_lod: DAffine3,
 }
 
 impl Model {
@@ -57,26 +70,29 @@ impl Trees {
     pub(super) fn new(level: &Level, reach: &Reach, seen_m: impl Fn(usize) -> Bounds) -> Result<Self, VolumeError> {
         let mut by_mesh: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
         let mut scalars = Vec::new();
-        let mut boxes = Vec::new();
         for (index, instance) in (0u32..).zip(&level.instances).filter(|(_, instance)| instance.receives) {
             match instance.gets {
                 Gets::Vertices => {}
-                Gets::Global => {
-                    by_mesh.entry(instance.mesh).or_default().push(index);
-                    boxes.push(seen_m(index as usize));
-                }
-                Gets::GlobalTraced => by_mesh.entry(instance.mesh).or_default().push(index),
+                Gets::Global | Gets::GlobalTraced => by_mesh.entry(instance.mesh).or_default().push(index),
                 // A lower level of detail has the number of what it stands for.
                 Gets::Scalar if instance.is_lod() => {}
                 Gets::Scalar => scalars.push(index),
             }
         }
         scalars.sort_by_key(|index| (reach.group(*index as usize), *index));
+        let fulls: BTreeMap<u32, Full> =
+            by_mesh.iter().filter_map(|(mesh, lods)| Some((*mesh, full(level, &by_mesh, lods)?))).collect();
+        let in_volume =
+            by_mesh.iter().filter(|(mesh, _)| !fulls.contains_key(mesh)).flat_map(|(_, instances)| instances);
+        let in_volume = in_volume.filter(|index| level.instances[**index as usize].gets == Gets::Global);
+        let mut in_volume: Vec<u32> = in_volume.copied().collect();
+        in_volume.sort_unstable();
+        let boxes: Vec<Bounds> = in_volume.into_iter().map(|index| seen_m(index as usize)).collect();
         let layout = Layout::new(&boxes, &LayoutSettings::default())?;
         let model = |(mesh, instances): (u32, Vec<u32>)| {
             let scale = scale(instances.iter().map(|index| &level.instances[*index as usize]));
             let is_traced = instances.iter().any(|i| level.instances[*i as usize].gets == Gets::GlobalTraced);
-            Model { mesh, instances, scale, is_traced }
+            Model { mesh, instances, scale, is_traced, full: fulls.get(&mesh).cloned() }
         };
         Ok(Self { models: by_mesh.into_iter().map(model).collect(), layout, scalars })
     }
@@ -106,8 +122,8 @@ impl Trees {
             instances: model.instances.clone(),
             scale: model.scale,
             sampling: sampling(model.mesh, &model.place()),
-            points: model
-                .is_traced
+            full: model.full.as_ref().map(|full| full.mesh),
+            points: (model.is_traced && model.full.is_none())
                 .then(|| model_points(&level.meshes[model.mesh as usize], level.level.sampling.seed).len() as u32),
         };
         let seen: Vec<Bounds> = (0..level.level.instances.len()).map(|index| level.seen_m(index)).collect();
@@ -129,8 +145,14 @@ impl Trees {
             around.merge(&self.layout.bounds_m(brick));
         }
         let is_near = |tree: &u32| do_touch(&around, &seen[*tree as usize]);
-        let mut trees: Vec<u32> =
-            self.models.iter().filter(|m| !m.is_traced).flat_map(|m| &m.instances).copied().filter(is_near).collect();
+        let mut trees: Vec<u32> = self
+            .models
+            .iter()
+            .filter(|m| !m.is_traced && m.full.is_none())
+            .flat_map(|m| &m.instances)
+            .copied()
+            .filter(is_near)
+            .collect();
         trees.sort_unstable();
         VolumePlan {
             first_brick,
@@ -165,6 +187,38 @@ impl Trees {
         }
         runs
     }
+}
+
+/// The full model of instances of one mesh, if all are lower levels of detail of instances of one other model, placed beside
+/// them in the same way.
+fn full(level: &Level, by_mesh: &BTreeMap<u32, Vec<u32>>, lods: &[u32]) -> Option<Full> {
+    let instance = |index: u32| &level.instances[index as usize];
+    let mesh = instance(*instance(*lods.first()?).lod_of.first()?).mesh;
+    let fulls = by_mesh.get(&mesh)?;
+    if fulls.iter().any(|index| instance(*index).is_lod()) {
+        return None;
+    }
+    let place = |lod: &u32| {
+        let full = *instance(*lod).lod_of.first()?;
+        Some((fulls.binary_search(&full).ok()?, from_lod(instance(*lod), instance(full))))
+    };
+    let (instances, places): (Vec<usize>, Vec<DAffine3>) =
+        lods.iter().map(place).collect::<Option<Vec<_>>>()?.into_iter().unzip();
+    let full_from_lod = *places.first()?;
+    let is_same = |place: &DAffine3| {
+        let size = level.meshes[instance(lods[0]).mesh as usize].bounds.diagonal();
+        let most = SAME_PLACE * full_from_lod.matrix3.to_cols_array().iter().fold(1.0f64, |most, x| most.max(x.abs()));
+        place.matrix3.abs_diff_eq(full_from_lod.matrix3, most)
+            && place.translation.abs_diff_eq(full_from_lod.translation, most * size)
+    };
+    places.iter().all(is_same).then_some(Full { mesh, instances, full_from_lod })
+}
+
+/// By how much of a length places may differ that pass for the same.
+const SAME_PLACE: f64 = 1e-4;
+
+fn from_lod(lod: &Instance, full: &Instance) -> DAffine3 {
+    full.world_from_object.inverse() * lod.world_from_object
 }
 
 /// Whether an instance has values that others can read.
