@@ -66,3 +66,29 @@ fn least_squares_are_nearer_than_reading_at_the_vertices() {
     assert!(pairs > 100 && ratio < 0.8, "{row}");
     assert_eq!(cells[7], format!("{pairs} of {pairs}"), "{row}");
 }
+
+/// Of instanced objects, as of trees: nothing is traced for their levels of detail, which have what the full objects have.
+#[test]
+fn levels_of_instanced_objects_have_what_the_full_ones_have() {
+    let place = Workplace::new();
+    place.succeed(&["example", "lods", "-o", "lods.glb"]);
+    let sidecar = "[[class]]\nmatch = \"pillar*\"\nclass = \"instanced\"\n";
+    std::fs::write(place.path("lods.kiln.toml"), sidecar).expect("a file can be written");
+    let report = bake(&place, "lods.glb", "out.glb", &[]);
+    let foliage = &report["foliage"];
+    let (models, lods) = (foliage["models"].as_array().expect("a list").len() as u64, foliage["lod_models"].as_u64());
+    assert!(models > 0 && lods >= Some(models) && items(&report, "fit") == models + lods.unwrap_or(0), "{foliage}");
+    let scene = scene(&place, "out.glb");
+    let mean = |ao: &[f32], channel: usize| {
+        ao.iter().skip(channel).step_by(2).map(|ao| f64::from(*ao)).sum::<f64>() / (ao.len() / 2) as f64
+    };
+    let pillars: Vec<_> = scene.lods.iter().filter(|lod| lod.part.node.starts_with("pillar")).collect();
+    assert!(pillars.len() > 4);
+    for lod in pillars {
+        let full = &scene.parts[lod.lod_of[0]];
+        for channel in 0..2 {
+            let (lower, full) = (mean(&lod.part.ao, channel), mean(&full.ao, channel));
+            assert!((lower - full).abs() < 0.1, "{}: {lower} {full}", lod.part.node);
+        }
+    }
+}
