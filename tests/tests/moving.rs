@@ -119,6 +119,16 @@ fn regions_are_modelled_and_an_engine_is_lit_by_them() {
     assert!(place.read("strip.png").starts_with(b"\x89PNG"));
 }
 
+/// The runtime has no dependency on the tracer, and so constants of its own.
+#[test]
+fn the_runtime_has_the_tracers_basis() {
+    for normal in [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [0.48, 0.6, -0.64], [-0.36, 0.48, 0.8]] {
+        let tracers = kiln_trace::quadratic_harmonics(glam::Vec3::from(normal));
+        assert_eq!(kiln_runtime::quadratic_harmonics(normal), tracers);
+        assert_eq!(kiln_runtime::linear_harmonics(normal), tracers[..4]);
+    }
+}
+
 #[test]
 fn without_regions_there_is_none_of_it() {
     let place = courtyard();

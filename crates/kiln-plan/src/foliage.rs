@@ -185,7 +185,9 @@ impl Planner<'_> {
         family.integer(s.seed).integer(s.kernel.channel_count() as u64).value(&self.level.solve);
         family.value(&self.level.output.blend);
         if let Some(full) = model.full {
-            family.text("level of detail").digest(&self.level.meshes[full as usize].digest);
+            // It is read and solved as other levels of detail are.
+            let revisions = [TaskKind::Resample, TaskKind::Solve].map(TaskKind::kernel_rev);
+            family.text("level of detail").value(&revisions).digest(&self.level.meshes[full as usize].digest);
             for instance in &model.instances {
                 let full = self.level.instances[*instance as usize].lod_of.first();
                 full.into_iter()

@@ -96,27 +96,46 @@ fn groups(component: &[u16]) -> Vec<Vec<usize>> {
 fn freest(
     tracer: &dyn Tracer,
     points: &[DVec3],
-    groups: Vec<Vec<usize>>,
+    mut groups: Vec<Vec<usize>>,
     settings: &RegionGather,
 ) -> Result<Option<Vec<usize>>, TraceError> {
-    let mut best: (f64, Option<Vec<usize>>) = (0.0, None);
-    for group in groups {
-        // They come by size, so that no later one has more.
-        if group.len() as f64 <= best.0 {
-            break;
+    let (mut best, mut most, mut first) = (None, 0.0, 0);
+    // The largest by itself, since as a rule no other has more; then all that still may, together.
+    while first < groups.len() {
+        let end = if first == 0 { 1 } else { groups.partition_point(|group| group.len() as f64 > most) };
+        let Some(asked) = groups.get(first..end).filter(|asked| !asked.is_empty()) else { break };
+        for (index, good) in (first..).zip(good_points(tracer, points, asked, settings)?) {
+            if good > most {
+                (best, most) = (Some(index), good);
+            }
         }
-        let step = group.len().div_ceil(PROBES);
-        let asked = group.iter().skip(step / 2).step_by(step);
-        let spheres: Vec<SpherePoint> = asked.map(|index| sphere(points[*index], settings.seed)).collect();
-        let mut sums = vec![SphereSums::default(); spheres.len()];
-        tracer.gather_sphere(&spheres, &settings.kernel, PROBE_RAYS, &mut sums)?;
-        let good = sums.iter().filter(|sum| sum.back_face_fraction() <= settings.settings.back_face_limit).count();
-        let good = (group.len() * good) as f64 / sums.len() as f64;
-        if good > best.0 {
-            best = (good, Some(group));
-        }
+        first = end;
     }
-    Ok(best.1)
+    Ok(best.map(|index| groups.swap_remove(index)))
+}
+
+/// How many points of each group see few back faces, as far as some of them tell.
+fn good_points(
+    tracer: &dyn Tracer,
+    points: &[DVec3],
+    groups: &[Vec<usize>],
+    settings: &RegionGather,
+) -> Result<Vec<f64>, TraceError> {
+    let asked = |group: &Vec<usize>| {
+        let step = group.len().div_ceil(PROBES);
+        group.iter().copied().skip(step / 2).step_by(step).collect::<Vec<usize>>()
+    };
+    let asked: Vec<Vec<usize>> = groups.iter().map(asked).collect();
+    let spheres: Vec<SpherePoint> = asked.iter().flatten().map(|index| sphere(points[*index], settings.seed)).collect();
+    let mut sums = vec![SphereSums::default(); spheres.len()];
+    tracer.gather_sphere(&spheres, &settings.kernel, PROBE_RAYS, &mut sums)?;
+    let mut sums = sums.iter();
+    let good = |(group, asked): (&Vec<usize>, &Vec<usize>)| {
+        let of_group = sums.by_ref().take(asked.len());
+        let good = of_group.filter(|sum| sum.back_face_fraction() <= settings.settings.back_face_limit).count();
+        (group.len() * good) as f64 / asked.len() as f64
+    };
+    Ok(groups.iter().zip(&asked).map(good).collect())
 }
 
 /// Those of the points apart that some of the nearest members see.

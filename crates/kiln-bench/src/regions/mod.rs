@@ -116,7 +116,9 @@ pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
     println!("|---|---|---|---|---|---|---|---|---|");
     for level in &found {
         let s = &level.models.summary;
-        let energy = s.energy.first().zip(s.energy.last()).map_or(f64::NAN, |(first, last)| last / first);
+        // Without smoothing it is 0, and stays so.
+        let energy = s.energy.first().zip(s.energy.last()).filter(|(first, _)| **first > 0.0);
+        let energy = energy.map_or(1.0, |(first, last)| last / first);
         println!(
             "| {} | {} | {} | {} | {} | {} | {} | {} | {:.3} of before |",
             level.name,

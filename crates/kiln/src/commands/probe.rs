@@ -3,12 +3,12 @@
 use crate::{
     args::{Common, ProbeArgs},
     failure::Failure,
-    half_distances::channel_names,
+    half_distances::{channel_names, kernel_of},
     source::Source,
 };
 use glam::DVec3;
 use kiln_bake::{ProbePoint, ProbeResult, probe};
-use kiln_core::BakeSettings;
+use kiln_core::{BakeSettings, Kernel};
 use kiln_runtime::{Pack, ao_quadratic};
 use serde::{Deserialize, Serialize};
 use std::{fs, path::Path};
@@ -39,8 +39,16 @@ pub(crate) fn run(args: &ProbeArgs, common: &Common) -> Result<(), Failure> {
         let advice = "bake a level that has visibility regions";
         return Err(Failure::refused(format!("{} has no models of regions; {advice}", of_pack())));
     }
-    let half_distances_m = args.half_distance.0.clone().or_else(|| pack.as_ref().map(half_distances));
-    let settings = BakeSettings { half_distances_m, foliage: args.foliage.into(), ..BakeSettings::default() };
+    let settings = BakeSettings { foliage: args.foliage.into(), ..BakeSettings::default() };
+    let settings = match (&args.half_distance.0, pack.as_ref().map(|pack| kernel_of(pack.meta()))) {
+        (None, Some(Kernel::Occlusion { ray_distance_m })) => {
+            BakeSettings { occlusion_ray_distance_m: Some(ray_distance_m), ..settings }
+        }
+        (None, Some(Kernel::Obscurance { half_distances_m })) => {
+            BakeSettings { half_distances_m: Some(half_distances_m), ..settings }
+        }
+        (given, _) => BakeSettings { half_distances_m: given.clone(), ..settings },
+    };
     let level = super::load(&source, &settings)?;
     let backend = super::choose_backend(common)?;
     let (_, tracer) = level.tracer(&backend).map_err(anyhow::Error::from)?;
@@ -62,10 +70,6 @@ pub(crate) fn run(args: &ProbeArgs, common: &Common) -> Result<(), Failure> {
 
 fn read(path: &Path) -> Result<Vec<u8>, Failure> {
     fs::read(path).map_err(|error| Failure::refused(format!("{}: {error}", path.display())))
-}
-
-fn half_distances(pack: &Pack<'_>) -> Vec<f64> {
-    pack.meta().half_distances().iter().map(|distance| f64::from(*distance)).collect()
 }
 
 /// What the model of a point's region says.

@@ -3,9 +3,9 @@
 use crate::{
     args::{Common, RegionsArgs},
     failure::Failure,
+    outcome::write_whole,
     source::Source,
 };
-use anyhow::Context;
 use glam::DVec3;
 use kiln_bake::regions::{MadeRegions, SolidObject, make_regions};
 use kiln_core::{BakeSettings, Instance, RegionSettings, Regions};
@@ -33,7 +33,7 @@ pub(crate) fn run(args: &RegionsArgs, common: &Common) -> Result<(), Failure> {
     let refused = |error| Failure::refused(format!("{name}: {error}"));
     let made = make_regions(&solid_objects(&level), &**tracer, &settings).map_err(refused)?;
     let text = continued(&source, &made, origin);
-    std::fs::write(&args.output, &text).with_context(|| format!("{} cannot be written", args.output.display()))?;
+    write_whole(&args.output, text.as_bytes())?;
     print(args, &made, start.elapsed().as_secs_f64(), common);
     Ok(())
 }
@@ -67,7 +67,9 @@ fn continued(source: &Source, made: &MadeRegions, origin: DVec3) -> String {
     }
     let cell_m = made.summary.cell_m;
     let mut settings = RegionSettings::default();
-    if !text.contains("[region_models]") {
+    let is_about_models =
+        |line: &str| line.trim_start().trim_start_matches('[').trim_start().starts_with("region_models");
+    if !text.lines().any(is_about_models) {
         settings.min_volume_m3 = small_volume(cell_m).min(settings.min_volume_m3);
     }
     let regions = Regions { regions: made.regions.clone(), edges: made.edges.clone(), settings };

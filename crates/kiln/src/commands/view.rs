@@ -69,7 +69,7 @@ fn fly(args: &ViewArgs, path: &Path, scene: &BakedScene, common: &Common) -> Res
         let name = file.display().to_string();
         let pack = Pack::new(bytes).map_err(|error| Failure::refused(format!("{name}: {error}")))?;
         if tracer.is_none() {
-            let found = tracer.insert(BallTracer::new(scene, frames.places[0], pack.meta().blend()));
+            let found = tracer.insert(BallTracer::new(scene, frames.places[0], pack.meta()));
             rows.push(frames.traced(found)?);
         }
         let (two, crossed) = frames.modelled(&pack, &name)?;

@@ -3,19 +3,17 @@
 use super::Light;
 use crate::{
     failure::Failure,
+    half_distances::kernel_of,
     one_mesh::{one_mesh, scene_of},
 };
 use glam::DVec3;
 use kiln_bake::gather_points;
-use kiln_core::Kernel;
+use kiln_runtime::Meta;
 use kiln_scene::BakedScene;
 use kiln_trace::{CpuTracer, KernelRates};
 
 /// Directions about each place.
 const RAYS: u32 = 4096;
-
-/// Half-distance of a file that records none, metres.
-const DEFAULT_HALF_DISTANCE_M: f64 = 2.0;
 
 /// All geometry of a baked file, and what a ray is worth.
 pub(crate) struct BallTracer {
@@ -27,15 +25,10 @@ pub(crate) struct BallTracer {
 }
 
 impl BallTracer {
-    /// Near an origin; `weights` are those of the half-distances in the blend.
-    pub(crate) fn new(scene: &BakedScene, origin: DVec3, weights: &[f32]) -> Self {
+    /// Near an origin; rays are worth what they were in the bake of a pack.
+    pub(crate) fn new(scene: &BakedScene, origin: DVec3, meta: &Meta<'_>) -> Self {
         let tracer = CpuTracer::new(scene_of(&one_mesh(scene, origin, |_| true)));
-        let known = scene.half_distances_m.clone();
-        let half_distances_m = if known.is_empty() { vec![DEFAULT_HALF_DISTANCE_M] } else { known };
-        let mut weights = weights.to_vec();
-        weights.resize(half_distances_m.len(), 0.0);
-        let kernel = KernelRates::new(&Kernel::Obscurance { half_distances_m });
-        Self { tracer, origin, kernel, weights }
+        Self { tracer, origin, kernel: KernelRates::new(&kernel_of(meta)), weights: meta.blend().to_vec() }
     }
 
     /// The tracer, and where its space begins.
