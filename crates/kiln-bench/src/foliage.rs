@@ -1,14 +1,19 @@
 //! `kiln bench foliage`: what trees and shrubs do to what stands under them, by each mode, against a reference bake of their real
 //! geometry; and what each costs.
 
-use crate::{BenchError, Provenance, baked, imported::import_as, lods::mesh, scratch::Scratch};
+use crate::{
+    BenchError, Provenance, baked,
+    imported::{Imported, import_as},
+    lods::mesh,
+    scratch::Scratch,
+};
 use glam::{DAffine3, DVec3, Vec3};
 use kiln_bake::{BakedInstance, BakedSurface};
-use kiln_core::{Class, FoliageMode, Mesh};
+use kiln_core::{FaceGroup, Foliage as FaceFoliage, FoliageMode, Mesh};
 use kiln_scene::{BakedPart, BakedScene};
-use kiln_trace::{CpuTracer, Foliage, Hit, MeshBvh, Ray, Scene, SceneObject, Tracer};
-use kiln_worker::tasks::{Backend, LoadedLevel};
+use kiln_trace::{CpuTracer, CrossingMesh, Foliage, FoliageObject, Hit, MeshBvh, Ray, Scene, SceneObject, Tracer};
 use std::{
+    collections::HashMap,
     path::{Path, PathBuf},
     sync::Arc,
     time::Instant,
@@ -137,52 +142,93 @@ fn has_one_number(part: &BakedPart) -> bool {
     part.channels == 2 && part.ao.len() > 2 && part.ao.chunks_exact(2).all(|ao| ao == &part.ao[..2])
 }
 
-/// What trees of nodes and triangles come to, of foliage as it is traced and as real geometry.
+/// What trees of nodes and triangles come to, of foliage as it is traced and as real geometry: of shrubs alone, and with trees.
 #[expect(clippy::print_stdout, reason = "this is the command's output")]
 fn memory(path: &Path) -> Result<(), BenchError> {
-    let built = |mode: FoliageMode| -> Result<Built, BenchError> {
-        let imported = import_as(path, mode)?;
-        let faces = [Class::Tree, Class::Shrub]
-            .map(|class| imported.level.counts.classes.get(&class).copied().unwrap_or(0) as f64);
-        let failed = |reason: String| BenchError::Failed { step: "load", reason };
-        let loaded = LoadedLevel::new(kiln_core::Digest::default(), imported.level, imported.meshes)
-            .map_err(|error| failed(error.to_string()))?;
-        let began = Instant::now();
-        let scene: &Scene = &loaded.tracer(&Backend::Cpu).map_err(|error| failed(error.to_string()))?.0;
-        let secs = began.elapsed().as_secs_f64();
-        let of_foliage = |bytes: fn(&Foliage) -> usize| scene.foliage().map_or(0, bytes) as f64;
-        let (foliage, fog) = (of_foliage(Foliage::memory_bytes), of_foliage(Foliage::fog_bytes));
-        Ok(Built { all: scene.memory_bytes() as f64, foliage, fog, secs, faces })
-    };
-    let (soft, solid) = (built(FoliageMode::Expected)?, built(FoliageMode::Geometry)?);
-    let instanced = (solid.all - (soft.all - soft.foliage)).max(0.0);
-    let [tree_faces, shrub_faces] = soft.faces;
-    let mib = |bytes: f64| bytes / f64::from(1 << 20);
-    let row = |what: &str, bytes: f64, of: f64| println!("| {what} | {:.3} | {:.1} |", mib(bytes), bytes / of.max(1.0));
-    println!(
-        "Memory of trees of boxes; all of the level's are built in {:.2} s, with foliage as geometry in {:.2} s:\n",
-        soft.secs, solid.secs
-    );
-    println!("| foliage as | MiB | ratio |");
-    println!("|---|---|---|");
-    row("fog boxes of shrubs", soft.fog, soft.fog);
-    row(&format!("copies of shrubs, {shrub_faces} faces"), shrub_faces * BYTES_PER_FACE, soft.fog);
-    row("fog boxes, and models of trees with crossings", soft.foliage, soft.foliage);
-    row("instances of the real geometry of both", instanced, soft.foliage);
-    let copies = (tree_faces + shrub_faces) * BYTES_PER_FACE;
-    row("copies of the real geometry of both", copies, soft.foliage);
+    let (mut soft, solid) = (import_as(path, FoliageMode::Expected)?, import_as(path, FoliageMode::Geometry)?);
+    let Imported { level, meshes } = &mut soft;
+    kiln_bake::place_fog(level, |index| meshes.get(index).map(|mesh| &**mesh));
+    let is_shrub = |index: usize| soft.level.instances[index].fog.is_some();
+    let crosses = |group: &FaceGroup| matches!(group.foliage, Some(FaceFoliage::Crossing(_)));
+    let is_tree = |index: usize| soft.meshes[soft.level.instances[index].mesh as usize].groups.iter().any(crosses);
+    println!("Memory of trees of boxes over foliage alone:\n");
+    println!("| of | foliage as | MiB | bytes each | ratio | built, ms |");
+    println!("|---|---|---|---|---|---|");
+    let both = |index: usize| is_shrub(index) || is_tree(index);
+    for (name, is_in) in [("shrubs", &is_shrub as &dyn Fn(usize) -> bool), ("shrubs and trees", &both)] {
+        let count = (0..soft.level.instances.len()).filter(|index| is_in(*index)).count();
+        let traced = Built::as_foliage(&soft, is_in);
+        let instanced = Built::as_instances(&solid, is_in);
+        let row = |what: &str, bytes: f64, secs: f64| {
+            let (mib, each) = (bytes / f64::from(1 << 20), bytes / count.max(1) as f64);
+            let ratio = bytes / traced.bytes.max(1.0);
+            println!("| {count} {name} | {what} | {mib:.3} | {each:.1} | {ratio:.1} | {:.1} |", 1e3 * secs);
+        };
+        row(
+            &format!("foliage: {} fog boxes in records, models of trees once each", traced.in_records),
+            traced.bytes,
+            traced.secs,
+        );
+        row(&format!("instances of {} models, once each", instanced.models), instanced.bytes, instanced.secs);
+        row("these without the models", instanced.bytes - instanced.model_bytes, f64::NAN);
+        row(&format!("copies, {} faces", instanced.faces), instanced.faces as f64 * BYTES_PER_FACE, f64::NAN);
+    }
     println!();
     Ok(())
 }
 
-/// Trees of boxes that were built, bytes and seconds.
+/// Trees of boxes that were built.
 struct Built {
-    all: f64,
-    foliage: f64,
-    fog: f64,
+    bytes: f64,
+    /// The part of the models' own trees.
+    model_bytes: f64,
+    models: usize,
+    /// Over all instances.
+    faces: usize,
+    /// Shrubs that take sixteen bytes.
+    in_records: usize,
     secs: f64,
-    /// Faces of trees and of shrubs, over all instances.
-    faces: [f64; 2],
+}
+
+impl Built {
+    /// Some instances of a level as rays go through them.
+    fn as_foliage(imported: &Imported, is_in: &dyn Fn(usize) -> bool) -> Self {
+        let began = Instant::now();
+        let mut trees: HashMap<u32, Option<Arc<CrossingMesh>>> = HashMap::new();
+        let mut objects = Vec::new();
+        for (_, instance) in imported.level.instances.iter().enumerate().filter(|(index, _)| is_in(*index)) {
+            let mesh = &imported.meshes[instance.mesh as usize];
+            let tree = trees.entry(instance.mesh).or_insert_with(|| CrossingMesh::build(mesh).map(Arc::new));
+            let world_from_object = instance.world_from_object;
+            objects.extend(tree.iter().cloned().map(|mesh| FoliageObject::Crossings { mesh, world_from_object }));
+            objects.extend(instance.fog.map(|fog| FoliageObject::Fog { fog, world_from_object }));
+        }
+        let foliage = Foliage::build(&objects, FoliageMode::Expected);
+        let secs = began.elapsed().as_secs_f64();
+        let models = trees.values().flatten();
+        let model_bytes = models.clone().map(|mesh| mesh.memory_bytes()).sum::<usize>() as f64;
+        let (bytes, in_records) = (foliage.memory_bytes() as f64, foliage.packed_shrubs());
+        Self { bytes, model_bytes, models: models.count(), faces: 0, in_records, secs }
+    }
+
+    /// Some instances of a level as geometry in two levels.
+    fn as_instances(imported: &Imported, is_in: &dyn Fn(usize) -> bool) -> Self {
+        let began = Instant::now();
+        let (mut index_of, mut meshes, mut objects, mut faces) = (HashMap::new(), Vec::new(), Vec::new(), 0);
+        for (_, instance) in imported.level.instances.iter().enumerate().filter(|(index, _)| is_in(*index)) {
+            let mesh = *index_of.entry(instance.mesh).or_insert_with(|| {
+                meshes.push(Arc::new(MeshBvh::build(&imported.meshes[instance.mesh as usize])));
+                meshes.len() - 1
+            });
+            faces += imported.meshes[instance.mesh as usize].faces.len();
+            objects.push(SceneObject { mesh, world_from_object: instance.world_from_object });
+        }
+        let scene = Scene::build(meshes, &objects);
+        let secs = began.elapsed().as_secs_f64();
+        let model_bytes = scene.meshes.iter().map(|mesh| mesh.memory_bytes()).sum::<usize>() as f64;
+        let models = scene.meshes.len();
+        Self { bytes: scene.memory_bytes() as f64, model_bytes, models, faces, in_records: 0, secs }
+    }
 }
 
 /// Bytes of nodes and triangles for each face of a flattened level of 1.8 million faces (docs/benchmarks/rays.md).

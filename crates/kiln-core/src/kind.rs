@@ -53,12 +53,12 @@ impl TaskKind {
     /// other revisions are never taken for its own. A golden test in the kind's crate fails otherwise.
     pub const fn kernel_rev(self) -> u32 {
         match self {
-            Self::Points | Self::Regions | Self::Model | Self::Read | Self::Resample => 1,
-            Self::Volume => 2,
-            Self::Fit => 3,
+            Self::Model | Self::Read | Self::Resample => 1,
+            Self::Points | Self::Regions => 2,
+            Self::Volume | Self::Fit => 3,
             Self::Solve => 4,
             Self::Import | Self::Plan | Self::Export => 7,
-            Self::Trace => 8,
+            Self::Trace => 9,
         }
     }
 

@@ -17,7 +17,7 @@
 
 use crate::layout::Layout;
 use glam::{DAffine3, DMat3, DVec3, Vec3};
-use kiln_trace::{BvhChild, MeshBvh, Scene, SceneInstance};
+use kiln_trace::{BvhChild, MeshBvh, Place, Scene};
 use std::ops::Range;
 
 /// Bound on what rounding does to a ray, relative to the terms that are summed.
@@ -58,8 +58,8 @@ impl<'a> Boxes<'a> {
         let mut placed = Vec::with_capacity(layout.top.leaf_records.len());
         for &(_, index) in &layout.top.leaf_records {
             let instance = &scene.instances[index as usize];
-            let mesh = instance.mesh as usize;
-            let object_from_world = affine(instance);
+            let mesh = instance.mesh();
+            let object_from_world = affine(&instance.place);
             let own = margin(&object_from_world, reach, extent(&scene.meshes[mesh]));
             let shared = margins[mesh].get_or_insert(own);
             *shared = own.max(*shared);
@@ -114,8 +114,8 @@ fn extent(mesh: &MeshBvh) -> DVec3 {
     mesh.bounds.min.abs().max(mesh.bounds.max.abs())
 }
 
-fn affine(instance: &SceneInstance) -> DAffine3 {
-    let [x, y, z] = instance.object_from_world.map(|row| row.map(f64::from));
+fn affine(place: &Place) -> DAffine3 {
+    let [x, y, z] = place.object_from_world.map(|row| row.map(f64::from));
     let column = |i: usize| DVec3::new(x[i], y[i], z[i]);
     DAffine3 { matrix3: DMat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
 }

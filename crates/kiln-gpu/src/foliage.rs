@@ -6,8 +6,9 @@
 //!
 //! # Data
 //!
-//! Behind the meshes lies the tree over all objects, made from the CPU's ([`crate::widen`]), its leaves among its nodes as a scene's
-//! instances are. A record has the rows of the transform, and where a tree's mesh starts, or a box of fog and its rate. The
+//! Behind the meshes lies the tree over everything, made from the CPU's ([`crate::widen`]), its leaves among its nodes as a scene's
+//! instances are. A leaf's record has the rows of a transform and where a tree's mesh starts, or a box of fog and its rate; or it has the
+//! base of a group of shrubs and where their records start, a word of 16 bytes for each, as kiln-trace packs them. The
 //! triangles of trees are those of opaque meshes, with their depth in a word that is not used there ([`crate::triangle`]).
 //!
 //! # The way
@@ -36,11 +37,12 @@ use crate::{
 use bytemuck::{Pod, Zeroable, cast, cast_slice};
 use glam::Vec3;
 use kiln_core::FoliageMode;
-use kiln_trace::{BvhChild, CrossingMesh, Foliage, FoliageView, Scene, SceneInstance, TraceError};
-use std::sync::Arc;
+use kiln_trace::{BvhChild, CrossingMesh, Foliage, FoliageView, Scene, TraceError};
+use std::{collections::BTreeMap, sync::Arc};
 
-/// Set in the last word of a record of fog; keep in sync with `foliage.wgsl`.
+/// Set in the last word of a record of fog, and of one of a group; keep in sync with `foliage.wgsl`.
 const FOG_BIT: u32 = 1 << 31;
+const GROUP_BIT: u32 = 1 << 30;
 
 /// What rays go through, as far as their shaders differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -73,16 +75,16 @@ impl SourceTree for Foliage {
     }
 }
 
-/// The record of an object: rows of the inverse transform; then where its mesh starts (nodes and triangles), or the corners of a box of
-/// fog, each followed by half of the rate.
+/// The record of a leaf: rows of the inverse transform; then where its mesh starts (nodes and triangles), or the corners of a box of
+/// fog, each followed by half of the rate. That of a group has no transform, but its base, where its shrubs start, and how many there are.
 #[repr(C)]
 #[derive(Clone, Copy, Pod, Zeroable)]
-struct ObjectRecord {
+struct LeafRecord {
     object_from_world: [[f32; 4]; 3],
     words: [u32; 8],
 }
 
-const _: () = assert!(size_of::<ObjectRecord>() == size_of::<WideNode>());
+const _: () = assert!(size_of::<LeafRecord>() == size_of::<WideNode>());
 
 /// A mesh of trees, and the first words of its nodes and triangles.
 struct CrossingLayout<'a> {
@@ -96,6 +98,9 @@ pub(crate) struct FoliageLayout<'a> {
     foliage: &'a Foliage,
     top: WideTree,
     meshes: Vec<CrossingLayout<'a>>,
+    /// First word of each leaf's shrubs, from the first of all on, if it is a group.
+    groups: BTreeMap<u32, u64>,
+    first_shrub: u64,
     pub(crate) first_word: u64,
     pub(crate) end_word: u64,
 }
@@ -107,8 +112,17 @@ impl<'a> FoliageLayout<'a> {
         let top = widen(foliage);
         let mut at = first_word + top.nodes.len() as u64 * NODE_WORDS;
         let mut meshes: Vec<CrossingLayout<'a>> = Vec::new();
-        for (_, object) in foliage.objects() {
-            let FoliageView::Crossings(mesh) = object else { continue };
+        let (mut groups, mut shrubs) = (BTreeMap::new(), 0);
+        for (index, leaf) in (0..).zip(foliage.leaves()) {
+            let mesh = match leaf {
+                FoliageView::Crossings { mesh, .. } => mesh,
+                FoliageView::Fog { .. } => continue,
+                FoliageView::Shrubs { records, .. } => {
+                    groups.insert(index, shrubs);
+                    shrubs += records.len() as u64;
+                    continue;
+                }
+            };
             if meshes.iter().any(|known| Arc::ptr_eq(known.mesh, mesh)) {
                 continue;
             }
@@ -118,7 +132,7 @@ impl<'a> FoliageLayout<'a> {
             meshes.push(CrossingLayout { mesh, tree, starts: [at, triangles] });
             at = end;
         }
-        Some(Self { foliage, top, meshes, first_word, end_word: at })
+        Some(Self { foliage, top, meshes, groups, first_shrub: at, first_word, end_word: at + shrubs })
     }
 
     /// Nodes on the longest path through both levels.
@@ -129,10 +143,8 @@ impl<'a> FoliageLayout<'a> {
     /// Sends everything, in the order of the words.
     pub(crate) fn send(&self, upload: &mut Upload<'_>) -> Result<(), TraceError> {
         let mut records = self.top.nodes.clone();
-        let objects: Vec<(&SceneInstance, FoliageView<'_>)> = self.foliage.objects().collect();
         for &(at, index) in &self.top.leaf_records {
-            let (place, what) = &objects[index as usize];
-            records[at] = cast(ObjectRecord { object_from_world: place.object_from_world, words: self.words(what) });
+            records[at] = cast(self.record(index));
         }
         upload.write(cast_slice(&records))?;
         for CrossingLayout { mesh, tree, .. } in &self.meshes {
@@ -142,21 +154,35 @@ impl<'a> FoliageLayout<'a> {
                 upload.write(cast_slice(&triangles))?;
             }
         }
+        for leaf in self.foliage.leaves() {
+            if let FoliageView::Shrubs { records, .. } = leaf {
+                let words: Vec<[u32; 4]> = records.iter().map(|record| record.0).collect();
+                upload.write(cast_slice(&words))?;
+            }
+        }
         Ok(())
     }
 
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "halves; words are checked to fit")]
-    fn words(&self, object: &FoliageView<'_>) -> [u32; 8] {
-        match object {
-            FoliageView::Crossings(mesh) => {
+    fn record(&self, index: u32) -> LeafRecord {
+        match self.foliage.leaf(index) {
+            FoliageView::Crossings { mesh, place } => {
                 let starts = self.meshes.iter().find(|known| Arc::ptr_eq(known.mesh, mesh)).map(|known| known.starts);
                 let [nodes, triangles] = starts.unwrap_or_default();
-                [nodes as u32, triangles as u32, 0, 0, 0, 0, 0, 0]
+                let words = [nodes as u32, triangles as u32, 0, 0, 0, 0, 0, 0];
+                LeafRecord { object_from_world: place.object_from_world, words }
             }
-            FoliageView::Fog { min, max, rate } => {
+            FoliageView::Fog { min, max, rate, place } => {
                 let [a, b, c] = min.to_array().map(f32::to_bits);
                 let [d, e, f] = max.to_array().map(f32::to_bits);
-                [a, b, c, *rate as u32, d, e, f, (*rate >> 32) as u32 | FOG_BIT]
+                let words = [a, b, c, rate as u32, d, e, f, (rate >> 32) as u32 | FOG_BIT];
+                LeafRecord { object_from_world: place.object_from_world, words }
+            }
+            FoliageView::Shrubs { base, records } => {
+                let [x, y, z] = base.map(i32::cast_unsigned);
+                let first = self.first_shrub + self.groups.get(&index).copied().unwrap_or_default();
+                let words = [x, y, z, first as u32, 0, 0, 0, GROUP_BIT | records.len() as u32];
+                LeafRecord { object_from_world: [[0.0; 4]; 3], words }
             }
         }
     }

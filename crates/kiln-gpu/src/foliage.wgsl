@@ -6,8 +6,18 @@
 //     fn meet_face(t: f32, depth: u32)
 //     fn meet_fog(near: f32, far: f32, rate: vec2<u32>)
 
-// Set in the last word of a record of fog, beside the upper half of its rate.
+// Set in the last word of a record of fog, beside the upper half of its rate, and in that of a group, beside the number of its shrubs.
 const FOG_BIT: u32 = 0x80000000u;
+const GROUP_BIT: u32 = 0x40000000u;
+// Records of shrubs: steps of their lattice, metres; steps of a quaternion's components; floats of 12 bits, see kiln-trace's
+// foliage/shrub.rs: keep in sync.
+const STEP_M: f32 = 1f / 256f;
+const PER_CODE: f32 = 0.70710678118654752f / 511f;
+const LEAST_HALF: u32 = 0x3c800000u;
+const LEAST_RATE: u32 = 0x3a800000u;
+// Slack of squares of radii and of the way to a center, as in kiln-trace's foliage/groups.rs.
+const RADIUS_SLACK: f32 = 1.0078125f;
+const WAY_SLACK: f32 = 1f / 17179869184f;
 // Boxes that are left this little before `walk_from` may hold what is met behind it: distances are rounded to 18 bits.
 const TAKEN_SLACK: f32 = 0.999992f;
 // No length counts for more, so that no product is infinite.
@@ -50,6 +60,49 @@ fn cross_fog(ray: SlabRay, low: vec3<f32>, high: vec3<f32>, rate: vec2<u32>) {
     let far = min(min(leaves.x, leaves.y), min(leaves.z, ray_end));
     if near < far {
         meet_fog(near, far, rate);
+    }
+}
+
+// Floats of 12 bits.
+fn large_float(codes: vec3<u32>, least: u32) -> vec3<f32> {
+    return bitcast<vec3<f32>>((codes << vec3(15u)) + vec3(least));
+}
+
+// The conjugate of a packed quaternion: x, y, z, w.
+fn turn_back(word: u32) -> vec4<f32> {
+    let others = vec3<f32>(vec3<i32>((vec3(word) >> vec3(0u, 10u, 20u)) & vec3(0x3ffu)) - vec3(511)) * PER_CODE;
+    let rest = sqrt(max(1f - dot(others, others), 0f));
+    var turn = vec4(others, rest);
+    switch word >> 30u {
+        case 0u: { turn = vec4(rest, others); }
+        case 1u: { turn = vec4(others.x, rest, others.yz); }
+        case 2u: { turn = vec4(others.xy, rest, others.z); }
+        default: {}
+    }
+    return vec4(-turn.xyz, turn.w);
+}
+
+// A vector turned by a unit quaternion.
+fn turned_by(turn: vec4<f32>, v: vec3<f32>) -> vec3<f32> {
+    let twice = 2f * cross(turn.xyz, v);
+    return v + turn.w * twice + cross(turn.xyz, twice);
+}
+
+// Takes a ray through the shrubs of a group; each that its sphere says nothing against is unpacked.
+fn cross_group(origin: vec3<f32>, direction: vec3<f32>, base: vec3<i32>, first_word: u32, count: u32) {
+    for (var at = first_word; at < first_word + count; at++) {
+        let words = geometry(at);
+        let steps = vec3(words.x & 0xffffu, words.x >> 16u, words.y & 0xffffu);
+        let half = large_float(vec3(words.y >> 16u, words.z, words.z >> 12u) & vec3(0xfffu), LEAST_HALF);
+        let center = vec3<f32>(base + vec3<i32>(steps)) * STEP_M - origin;
+        let t = clamp(dot(center, direction), 0f, ray_end);
+        let away = center - t * direction;
+        if dot(away, away) <= dot(half, half) * RADIUS_SLACK + t * t * WAY_SLACK {
+            let turn = turn_back(words.w);
+            let per_m = large_float(vec3((words.y >> 28u) | ((words.z >> 24u) << 4u)), LEAST_RATE).x;
+            let ray = slab_ray(turned_by(turn, -center), turned_by(turn, direction));
+            cross_fog(ray, -half, half, vec2(u32(per_m * 16777216f), 0u));
+        }
     }
 }
 
@@ -129,8 +182,14 @@ fn walk_foliage(origin: vec3<f32>, direction: vec3<f32>) {
             }
             continue;
         }
-        let object = object_ray(first_word, origin, direction);
         let last = geometry(first_word + 4u);
+        if (last.w & (FOG_BIT | GROUP_BIT)) == GROUP_BIT {
+            let links = geometry(first_word + 3u);
+            cross_group(origin, direction, bitcast<vec3<i32>>(links.xyz), links.w, last.w & 0xffu);
+            group = vec2(0u);
+            continue;
+        }
+        let object = object_ray(first_word, origin, direction);
         if (last.w & FOG_BIT) != 0u {
             let rate = vec2(object.links.w, last.w & ~FOG_BIT);
             cross_fog(object.slab, bitcast<vec3<f32>>(object.links.xyz), bitcast<vec3<f32>>(last.xyz), rate);

@@ -83,24 +83,24 @@ impl<'a> Layout<'a> {
     }
 
     #[expect(clippy::cast_possible_truncation, reason = "`shape` has checked the greatest word")]
-    fn record(&self, index: u32, instance: &SceneInstance) -> WideNode {
-        let [first, triangles] = self.starts[instance.mesh as usize];
+    fn record(&self, instance: &SceneInstance) -> WideNode {
+        let [first, triangles] = self.starts[instance.mesh()];
         cast(InstanceRecord {
-            object_from_world: instance.object_from_world,
+            object_from_world: instance.place.object_from_world,
             first_word: first as u32,
             triangle_words: triangles as u32,
-            instance: index,
+            instance: instance.object,
             padding: [0; 5],
         })
     }
 
     fn records(&self, scene: &Scene) -> Vec<WideNode> {
         if self.ray_queries {
-            return (0u32..).zip(&scene.instances).map(|(index, instance)| self.record(index, instance)).collect();
+            return scene.instances.iter().map(|instance| self.record(instance)).collect();
         }
         let mut records = self.top.nodes.clone();
         for &(at, index) in &self.top.leaf_records {
-            records[at] = self.record(index, &scene.instances[index as usize]);
+            records[at] = self.record(&scene.instances[index as usize]);
         }
         records
     }

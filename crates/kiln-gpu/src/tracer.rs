@@ -61,11 +61,11 @@ impl GpuTracer {
 
     /// Whether this tracer knows all that rays go through in a scene; else only the processor's does.
     pub fn knows(scene: &Scene) -> bool {
-        let is_known = |what| match what {
-            FoliageView::Crossings(mesh) => !mesh.has_holes(),
-            FoliageView::Fog { .. } => true,
+        let is_known = |leaf| match leaf {
+            FoliageView::Crossings { mesh, .. } => !mesh.has_holes(),
+            FoliageView::Fog { .. } | FoliageView::Shrubs { .. } => true,
         };
-        !scene.has_cutouts() && scene.foliage().is_none_or(|foliage| foliage.objects().all(|(_, what)| is_known(what)))
+        !scene.has_cutouts() && scene.foliage().is_none_or(|foliage| foliage.leaves().all(is_known))
     }
 
     /// The device.

@@ -131,8 +131,8 @@ fn shape(gpu: &GpuDevice, scene: &Scene, layout: &Layout<'_>, binding_bytes: u64
         let (needed, available) = (layout.total_words * WORD_BYTES, available * WORD_BYTES);
         return Err(gpu.too_large("the scene's geometry", needed, available));
     }
-    // A rank is an instance's index below MISS_RANK.
-    let instances = scene.instances.len() as u64;
+    // A rank is an object's index below MISS_RANK.
+    let instances = scene.instances.iter().map(|instance| u64::from(instance.object) + 1).max().unwrap_or(0);
     if instances >= u64::from(MISS_RANK) {
         return Err(gpu.too_large("the instance table", instances, u64::from(MISS_RANK)));
     }

@@ -114,12 +114,12 @@ impl BundleLeaves for SceneBundle<'_> {
         hits: &mut Hits,
     ) {
         let instance = &self.scene.instances[first as usize];
-        let mesh = &self.scene.meshes[instance.mesh as usize];
-        let in_mesh = MeshLeaves { triangles: mesh.triangles.words(), instance: first };
-        let rays = if instance.is_identity {
+        let mesh = &self.scene.meshes[instance.mesh()];
+        let in_mesh = MeshLeaves { triangles: mesh.triangles.words(), instance: instance.object };
+        let rays = if instance.is_identity() {
             rays
         } else {
-            self.object.put_seen_from(instance, rays, mask);
+            self.object.put_seen_from(&instance.place, rays, mask);
             &*self.object
         };
         let MeshMemory { memory, stack, seen } = &mut *self.memory;
@@ -244,8 +244,8 @@ impl Leaves for SceneAlone<'_> {
         top: usize,
     ) {
         let instance = &self.scene.instances[first as usize];
-        let mesh = &self.scene.meshes[instance.mesh as usize];
-        let leaves = &mut MeshLeaves { triangles: mesh.triangles.words(), instance: first };
+        let mesh = &self.scene.meshes[instance.mesh()];
+        let leaves = &mut MeshLeaves { triangles: mesh.triangles.words(), instance: instance.object };
         let ray = instance.ray(ray);
         let nodes = &*mesh.nodes;
         V::compiled(alone::Walk::<_, ANY> { nodes, leaves, start: 0, ray: &ray, best, stack, bottom: top });

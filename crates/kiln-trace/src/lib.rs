@@ -41,14 +41,14 @@ mod triangle;
 pub use cpu::CpuTracer;
 pub use cutout::CutoutMesh;
 pub use directions::{cosine_direction, orthonormal_basis, sphere_direction};
-pub use foliage::{CrossingMesh, Foliage, FoliageObject, FoliageView};
+pub use foliage::{CrossingMesh, FogBox, Foliage, FoliageObject, FoliageView, ShrubRecord};
 pub use harmonics::{HARMONICS, quadratic_harmonics};
 pub use kernel::{KernelRates, MAX_RAYS_PER_SAMPLE, ONE, REACH_EPSILON};
 pub use mesh_bvh::MeshBvh;
 pub use node::{BvhChild, BvhLink};
 pub use open_sky::{is_open_above, open_sums};
 pub use path::Path;
-pub use scene::{PositionError, Scene, SceneInstance, SceneObject};
+pub use scene::{Place, PositionError, Scene, SceneInstance, SceneObject};
 pub use sobol::{SobolScramble, owen_scramble, sobol_digits, sobol_point};
 pub use sphere::{
     RayValue, SpherePoint, SphereSums, gather_sphere_by_rays, gather_sphere_by_values, sphere_directions,

@@ -21,11 +21,11 @@ pub fn is_open_above(scene: &Scene, origin: Vec3, normal: Vec3, reach: f32) -> b
     }
     !any_above(&scene.nodes, &plane, |index, _| {
         let instance = &scene.instances[index as usize];
-        let mesh = &scene.meshes[instance.mesh as usize];
+        let mesh = &scene.meshes[instance.mesh()];
         // n·x > c in the world is (W⁻ᵀ n)·y > c' for y = W x + w: found from y itself, W being object_from_world.
-        let world_from_object = linear(instance).inverse();
+        let world_from_object = linear(&instance.place).inverse();
         let normal = world_from_object.transpose() * plane.normal;
-        let offset = normal.dot(instance.point(origin));
+        let offset = normal.dot(instance.place.point(origin));
         let inner = HalfSpace { normal, offset, near: None };
         any_above(&mesh.nodes, &inner, |first, count| {
             (0..count).any(|lane| {

@@ -2,7 +2,7 @@
 
 use crate::{
     ray::{TracedRay, inverse_of},
-    scene::SceneInstance,
+    scene::Place,
 };
 use glam::Vec3;
 
@@ -87,15 +87,15 @@ impl Rays {
         }
     }
 
-    /// Takes over the rays of a mask from world space into that of an instance, and maybe others beside them.
+    /// Takes over the rays of a mask from world space into that of a place, and maybe others beside them.
     #[inline(always)]
-    pub(crate) fn put_seen_from(&mut self, instance: &SceneInstance, world: &Self, mask: u64) {
+    pub(crate) fn put_seen_from(&mut self, place: &Place, world: &Self, mask: u64) {
         for group in 0..BUNDLE / 8 {
             if mask >> (8 * group) & 0xff == 0 {
                 continue;
             }
             for ray in 8 * group..8 * group + 8 {
-                let (origin, direction) = (instance.point(world.origin(ray)), instance.direction(world.direction(ray)));
+                let (origin, direction) = (place.point(world.origin(ray)), place.direction(world.direction(ray)));
                 self.put(ray, origin, direction);
                 for (inverse, d) in self.inverse.iter_mut().zip(direction.to_array()) {
                     inverse.set(ray, inverse_of(d));

@@ -26,18 +26,27 @@ pub struct SceneObject {
     pub world_from_object: DAffine3,
 }
 
-/// One placement of a mesh, as traced.
-#[derive(Clone, Debug)]
-pub struct SceneInstance {
-    /// Index into the scene's meshes.
-    pub mesh: u32,
+/// A place of something, as rays are taken there.
+#[derive(Clone, Copy, Debug)]
+pub struct Place {
     /// Rows of the inverse transform.
     pub object_from_world: [[f32; 4]; 3],
-    /// The transform moves nothing.
-    pub(crate) is_identity: bool,
 }
 
-impl SceneInstance {
+impl Place {
+    #[expect(clippy::cast_possible_truncation, reason = "rays are f32; PositionError bounds what is lost")]
+    pub(crate) fn of(world_from_object: &DAffine3) -> Self {
+        let inverse = world_from_object.inverse();
+        let (m, t) = (inverse.matrix3, inverse.translation);
+        let row = |i: usize| [m.x_axis[i] as f32, m.y_axis[i] as f32, m.z_axis[i] as f32, t[i] as f32];
+        Self { object_from_world: [row(0), row(1), row(2)] }
+    }
+
+    /// Whether it moves nothing.
+    pub(crate) fn is_identity(&self) -> bool {
+        self.object_from_world == [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
+    }
+
     /// A world-space point in object space.
     #[inline(always)]
     pub(crate) fn point(&self, p: Vec3) -> Vec3 {
@@ -57,11 +66,50 @@ impl SceneInstance {
     /// A world-space ray in object space.
     #[inline(always)]
     pub(crate) fn ray(&self, ray: &TracedRay) -> TracedRay {
-        if self.is_identity {
-            return *ray;
-        }
         let [origin, direction] = [ray.origin, ray.direction].map(Vec3::from_array);
         TracedRay::new(self.point(origin), self.direction(direction))
+    }
+}
+
+/// Set in the mesh of an instance whose transform moves nothing.
+const UNMOVED_BIT: u32 = 1 << 31;
+
+/// One placement of a mesh, as traced.
+#[derive(Clone, Debug)]
+pub struct SceneInstance {
+    /// Where it is.
+    pub place: Place,
+    /// Index of the object, which hits name.
+    pub object: u32,
+    /// Index into the scene's meshes, and [`UNMOVED_BIT`].
+    mesh: u32,
+}
+
+const _: () = assert!(size_of::<SceneInstance>() == 56);
+
+impl SceneInstance {
+    fn of(index: usize, object: &SceneObject) -> Self {
+        let place = Place::of(&object.world_from_object);
+        let unmoved = if place.is_identity() { UNMOVED_BIT } else { 0 };
+        Self { place, object: index as u32, mesh: object.mesh as u32 | unmoved }
+    }
+
+    /// Index into the scene's meshes.
+    #[inline(always)]
+    pub fn mesh(&self) -> usize {
+        (self.mesh & !UNMOVED_BIT) as usize
+    }
+
+    /// Whether the transform moves nothing.
+    #[inline(always)]
+    pub(crate) fn is_identity(&self) -> bool {
+        self.mesh & UNMOVED_BIT != 0
+    }
+
+    /// A world-space ray in object space.
+    #[inline(always)]
+    pub(crate) fn ray(&self, ray: &TracedRay) -> TracedRay {
+        if self.is_identity() { *ray } else { self.place.ray(ray) }
     }
 }
 
@@ -70,9 +118,9 @@ impl SceneInstance {
 pub struct Scene {
     /// The distinct meshes.
     pub meshes: Vec<Arc<MeshBvh>>,
-    /// All instances, by the indices that hits name. Flat ones are here but not in the tree.
+    /// Those placements that rays can hit, in the order of their objects; then those of which they can hit only cutouts.
     pub instances: Vec<SceneInstance>,
-    /// Tree over the instances; a leaf's index is an instance's.
+    /// Tree over the instances; a leaf's index is an instance's, not its object's.
     pub(crate) nodes: Vec<WideNode>,
     /// What rays go through, if there is anything.
     pub(crate) foliage: Option<Foliage>,
@@ -83,26 +131,34 @@ pub struct Scene {
 impl Scene {
     /// Places meshes. Instances without occluding faces, and those whose transform flattens them, stop no ray.
     pub fn build(meshes: Vec<Arc<MeshBvh>>, objects: &[SceneObject]) -> Self {
-        let instances: Vec<SceneInstance> = objects.iter().map(instance).collect();
-        let boxed = |(index, object): (usize, &SceneObject)| {
-            let (min, max) = world_box(&meshes[object.mesh].bounds, &object.world_from_object)?;
-            Some(Boxed::new(index as u32, min, max))
-        };
-        let nodes = tree_over(objects.iter().enumerate().filter_map(boxed).collect());
-        Self { meshes, instances, nodes, foliage: None, cutouts: None }
+        let mut instances = Vec::new();
+        let mut boxes = Vec::new();
+        for (index, object) in objects.iter().enumerate() {
+            let Some((min, max)) = world_box(&meshes[object.mesh].bounds, &object.world_from_object) else { continue };
+            boxes.push(Boxed::new(instances.len() as u32, min, max));
+            instances.push(SceneInstance::of(index, object));
+        }
+        Self { meshes, instances, nodes: tree_over(boxes), foliage: None, cutouts: None }
     }
 
     /// Adds faces with holes: those of each mesh, in the order of the scene's meshes, under the objects that it was built of.
     /// Rays that [`crate::CpuTracer`] traces go through the holes, whatever is asked of them.
-    pub fn with_cutouts(self, meshes: Vec<Option<Arc<CutoutMesh>>>, objects: &[SceneObject]) -> Self {
-        let boxed = |(index, object): (usize, &SceneObject)| {
-            let mesh = meshes.get(object.mesh)?.as_ref()?;
-            let (min, max) = world_box(&mesh.bvh.bounds, &object.world_from_object)?;
-            Some(Boxed::new(index as u32, min, max))
-        };
-        let nodes = tree_over(objects.iter().enumerate().filter_map(boxed).collect());
-        let cutouts = (!nodes.is_empty()).then_some(SceneCutouts { nodes, meshes });
-        Self { cutouts, ..self }
+    pub fn with_cutouts(mut self, meshes: Vec<Option<Arc<CutoutMesh>>>, objects: &[SceneObject]) -> Self {
+        let whole = self.instances.len();
+        let mut boxes = Vec::new();
+        for (index, object) in objects.iter().enumerate() {
+            let Some(Some(mesh)) = meshes.get(object.mesh) else { continue };
+            let Some((min, max)) = world_box(&mesh.bvh.bounds, &object.world_from_object) else { continue };
+            let known = self.instances[..whole].binary_search_by_key(&(index as u32), |instance| instance.object);
+            let instance = known.unwrap_or_else(|_| {
+                self.instances.push(SceneInstance::of(index, object));
+                self.instances.len() - 1
+            });
+            boxes.push(Boxed::new(instance as u32, min, max));
+        }
+        let nodes = tree_over(boxes);
+        self.cutouts = (!nodes.is_empty()).then_some(SceneCutouts { nodes, meshes });
+        self
     }
 
     /// Whether some of what stops rays has holes.
@@ -142,7 +198,7 @@ impl Scene {
 }
 
 /// The tree over boxes, each a leaf of its own that has a tree to go down; a leaf's index is the box's.
-fn tree_over(boxes: Vec<Boxed>) -> Vec<WideNode> {
+pub(crate) fn tree_over(boxes: Vec<Boxed>) -> Vec<WideNode> {
     let tree = build(boxes, 1);
     let mut nodes = tree.nodes;
     for reference in nodes.iter_mut().flat_map(|node| &mut node.children).filter(|child| **child != u32::MAX) {
@@ -186,16 +242,6 @@ fn abs(m: glam::DMat3) -> glam::DMat3 {
     glam::DMat3::from_cols(m.x_axis.abs(), m.y_axis.abs(), m.z_axis.abs())
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "rays are f32; PositionError bounds what is lost")]
-pub(crate) fn instance(object: &SceneObject) -> SceneInstance {
-    let inverse = object.world_from_object.inverse();
-    let (m, t) = (inverse.matrix3, inverse.translation);
-    let row = |i: usize| [m.x_axis[i] as f32, m.y_axis[i] as f32, m.z_axis[i] as f32, t[i] as f32];
-    let object_from_world = [row(0), row(1), row(2)];
-    let is_identity = object_from_world == [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]];
-    SceneInstance { mesh: object.mesh as u32, object_from_world, is_identity }
-}
-
 /// Least and greatest corner of the world-space box, grown by the rounding error of rays on their way into object space. `None` for an instance that
 /// no ray can hit.
 pub(crate) fn world_box(bounds: &Bounds, transform: &DAffine3) -> Option<(Vec3, Vec3)> {
@@ -216,7 +262,7 @@ pub(crate) fn world_box(bounds: &Bounds, transform: &DAffine3) -> Option<(Vec3, 
 }
 
 /// The linear part of a transform in f32, for callers that move directions.
-pub(crate) fn linear(transform: &SceneInstance) -> Mat3 {
+pub(crate) fn linear(transform: &Place) -> Mat3 {
     let [x, y, z] = transform.object_from_world;
     Mat3::from_cols_array(&[x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]])
 }

@@ -37,14 +37,14 @@ impl BundleLeaves for CutoutBundle<'_> {
         hits: &mut Hits,
     ) {
         let instance = &self.scene.instances[first as usize];
-        let Some(mesh) = &self.cutouts.meshes[instance.mesh as usize] else { return };
-        let rays = if instance.is_identity {
+        let Some(mesh) = &self.cutouts.meshes[instance.mesh()] else { return };
+        let rays = if instance.is_identity() {
             rays
         } else {
-            self.object.put_seen_from(instance, rays, mask);
+            self.object.put_seen_from(&instance.place, rays, mask);
             &*self.object
         };
-        let leaves = &mut FacesBundle { faces: Faces { mesh, instance: first }, stack: self.stack };
+        let leaves = &mut FacesBundle { faces: Faces { mesh, instance: instance.object }, stack: self.stack };
         let (nodes, memory) = (&*mesh.bvh.nodes, &mut *self.memory);
         let walk: bundle::Walk<'_, _, ANY, SHARED> = bundle::Walk { nodes, leaves, rays, mask, hits, memory };
         V::compiled(walk);
@@ -75,8 +75,8 @@ impl Leaves for CutoutsAlone<'_> {
         top: usize,
     ) {
         let instance = &self.scene.instances[first as usize];
-        let Some(mesh) = &self.cutouts.meshes[instance.mesh as usize] else { return };
-        let leaves = &mut Faces { mesh, instance: first };
+        let Some(mesh) = &self.cutouts.meshes[instance.mesh()] else { return };
+        let leaves = &mut Faces { mesh, instance: instance.object };
         let ray = instance.ray(ray);
         let nodes = &*mesh.bvh.nodes;
         V::compiled(alone::Walk::<_, ANY> { nodes, leaves, start: 0, ray: &ray, best, stack, bottom: top });

@@ -11,27 +11,35 @@
 //!
 //! How far a ray goes through fog is measured in world space: a ray's parameter is the same in all spaces, and its direction
 //! is of unit length.
+//!
+//! Shrubs are what a level has most of. Those that [`shrub`] has a record for lie in [`groups`] of up to 32, each a leaf of the
+//! tree; other boxes of fog, and trees, are leaves by themselves.
 
 mod cross;
+mod groups;
+mod inside;
+mod shrub;
 mod through;
 mod view;
 
 pub(crate) use cross::{CrossBundle, FoliageMemory};
+pub use shrub::{FogBox, ShrubRecord};
 pub(crate) use through::Lost;
 pub use view::FoliageView;
 
 use crate::{
-    BvhLink, MeshBvh, SceneObject,
+    MeshBvh,
     boxed::Boxed,
-    build::build,
     cutout::Holes,
     node::WideNode,
     ray::TracedRay,
-    scene::{SceneInstance, instance, world_box},
+    scene::{Place, tree_over, world_box},
     triangle::face_of,
 };
 use glam::{DAffine3, Vec3};
+use groups::Groups;
 use kiln_core::{Bounds, FaceGroup, Fog, Foliage as FaceFoliage, FoliageMode, Mesh};
+use shrub::Shrub;
 use std::sync::Arc;
 
 /// The faces of a mesh that keep a part of the visibility; where a mask says that one is not there, all of it.
@@ -105,16 +113,20 @@ pub enum FoliageObject {
 /// What rays go through, and the tree over it.
 #[derive(Debug)]
 pub struct Foliage {
-    pub(crate) mode: FoliageMode,
+    mode: FoliageMode,
+    /// A leaf's index is a group's, or from the number of groups on an object's.
     pub(crate) nodes: Vec<WideNode>,
-    pub(crate) objects: Vec<Placed>,
+    groups: Groups,
+    objects: Vec<Placed>,
 }
 
 /// An object as rays see it.
 #[derive(Debug)]
 pub(crate) struct Placed {
-    pub(crate) place: SceneInstance,
-    pub(crate) what: What,
+    place: Place,
+    /// The place is the world's origin.
+    is_unmoved: bool,
+    what: What,
 }
 
 #[derive(Debug)]
@@ -134,17 +146,18 @@ impl Foliage {
     /// Places objects. Those whose transform flattens them, boxes without volume and fog without density are left out. In mode
     /// [`FoliageMode::Geometry`] there are none, since the faces themselves stop rays.
     pub fn build(objects: &[FoliageObject], mode: FoliageMode) -> Self {
-        let is_there = mode != FoliageMode::Geometry;
-        let placed: Vec<(Placed, Vec3, Vec3)> = objects.iter().filter(|_| is_there).filter_map(placed).collect();
-        let boxed = |(index, (_, min, max)): (usize, &(Placed, Vec3, Vec3))| Boxed::new(index as u32, *min, *max);
-        let tree = build(placed.iter().enumerate().map(boxed).collect(), 1);
-        let mut nodes = tree.nodes;
-        for reference in nodes.iter_mut().flat_map(|node| &mut node.children).filter(|child| **child != u32::MAX) {
-            if let BvhLink::Leaf { first, count } = BvhLink::of_reference(*reference) {
-                *reference = BvhLink::Leaf { first: tree.order[first as usize], count }.to_reference();
+        let (mut shrubs, mut placed) = (Vec::new(), Vec::new());
+        for object in objects.iter().filter(|_| mode != FoliageMode::Geometry) {
+            match packed(object) {
+                Some(shrub) => shrubs.push(shrub),
+                None => placed.extend(self::placed(object)),
             }
         }
-        Self { mode, nodes, objects: placed.into_iter().map(|(placed, ..)| placed).collect() }
+        let (groups, boxes) = Groups::of(shrubs);
+        let boxes = boxes.into_iter().chain(placed.iter().map(|(_, bounds)| *bounds));
+        let boxed = |(index, [min, max]): (u32, [Vec3; 2])| Boxed::new(index, min, max);
+        let nodes = tree_over((0..).zip(boxes).map(boxed).collect());
+        Self { mode, nodes, groups, objects: placed.into_iter().map(|(placed, _)| placed).collect() }
     }
 
     /// Whether there is nothing to go through.
@@ -152,17 +165,16 @@ impl Foliage {
         self.nodes.is_empty()
     }
 
-    /// Memory of the boxes of fog, with their part of the tree over all objects, bytes.
-    pub fn fog_bytes(&self) -> usize {
-        let fogs = self.objects.iter().filter(|object| object.crossings().is_none()).count();
-        let nodes = size_of_val(self.nodes.as_slice()) * fogs / self.objects.len().max(1);
-        nodes + fogs * size_of::<Placed>()
+    /// Shrubs that take sixteen bytes each, in groups.
+    pub fn packed_shrubs(&self) -> usize {
+        self.groups.shrubs()
     }
 
     /// Memory of the tree and all objects, each mesh counted once, bytes.
     pub fn memory_bytes(&self) -> usize {
         let mut meshes: Vec<*const CrossingMesh> = Vec::new();
         let mut bytes = size_of_val(self.nodes.as_slice()) + size_of_val(self.objects.as_slice());
+        bytes += self.groups.memory_bytes();
         for mesh in self.objects.iter().filter_map(|object| object.crossings()) {
             if !meshes.contains(&Arc::as_ptr(mesh)) {
                 meshes.push(Arc::as_ptr(mesh));
@@ -174,6 +186,12 @@ impl Foliage {
 }
 
 impl Placed {
+    /// A world-space ray in the object's space.
+    #[inline(always)]
+    fn ray(&self, ray: &TracedRay) -> TracedRay {
+        if self.is_unmoved { *ray } else { self.place.ray(ray) }
+    }
+
     fn crossings(&self) -> Option<&Arc<CrossingMesh>> {
         match &self.what {
             What::Crossings(mesh) => Some(mesh),
@@ -182,8 +200,16 @@ impl Placed {
     }
 }
 
+/// A shrub that has a record.
+fn packed(object: &FoliageObject) -> Option<Shrub> {
+    match object {
+        FoliageObject::Fog { fog, world_from_object } => Shrub::of(fog, world_from_object),
+        FoliageObject::Crossings { .. } => None,
+    }
+}
+
 /// An object, and the corners of its box in world space.
-fn placed(object: &FoliageObject) -> Option<(Placed, Vec3, Vec3)> {
+fn placed(object: &FoliageObject) -> Option<(Placed, [Vec3; 2])> {
     let (what, bounds, world_from_object) = match object {
         FoliageObject::Crossings { mesh, world_from_object } => {
             (What::Crossings(Arc::clone(mesh)), mesh.bvh.bounds, world_from_object)
@@ -191,8 +217,8 @@ fn placed(object: &FoliageObject) -> Option<(Placed, Vec3, Vec3)> {
         FoliageObject::Fog { fog, world_from_object } => (fog_box(fog)?, fog.bounds, world_from_object),
     };
     let (min, max) = world_box(&bounds, world_from_object)?;
-    let place = instance(&SceneObject { mesh: 0, world_from_object: *world_from_object });
-    Some((Placed { place, what }, min, max))
+    let place = Place::of(world_from_object);
+    Some((Placed { is_unmoved: place.is_identity(), place, what }, [min, max]))
 }
 
 #[expect(clippy::cast_possible_truncation, reason = "rays are f32, and the rate is limited")]

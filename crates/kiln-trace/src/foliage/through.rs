@@ -12,7 +12,7 @@ use kiln_core::FoliageMode;
 const DEPTH_UNITS: f32 = 65536.0;
 
 /// From here on, half a unit of a ray's value is more than what is kept.
-const ALL_LOST: u64 = 17 << 16;
+pub(super) const ALL_LOST: u64 = 17 << 16;
 
 /// A change on a ray's way.
 #[derive(Clone, Copy, Debug)]
@@ -82,6 +82,12 @@ impl Lost {
         let sum = &mut self.depth[ray % BUNDLE];
         *sum += ((far - near) * per_m(rate) * DEPTH_UNITS + 0.5) as u64;
         *sum >= ALL_LOST
+    }
+
+    /// The sum of what a ray has lost, where the order does not matter.
+    #[cfg(test)]
+    pub(super) fn depth_of(&self, ray: usize) -> u64 {
+        self.depth[ray]
     }
 
     /// Has to be called before values are asked for.

@@ -1,24 +1,38 @@
 //! Foliage as the tracers of other backends read it.
 
-use super::{CrossingMesh, Foliage, Placed, What};
-use crate::{BvhChild, MeshBvh, SceneInstance};
+use super::{CrossingMesh, Foliage, Placed, ShrubRecord, What};
+use crate::{BvhChild, MeshBvh, Place};
 use glam::Vec3;
 use kiln_core::FoliageMode;
 use std::sync::Arc;
 
-/// What an object does to rays that are taken into its space.
-#[derive(Clone, Copy, Debug)]
+/// What a leaf of the tree does to rays.
+#[derive(Clone, Debug)]
 pub enum FoliageView<'a> {
     /// A tree: each of its faces takes its depth wherever it is crossed.
-    Crossings(&'a Arc<CrossingMesh>),
-    /// A shrub.
+    Crossings {
+        /// Its faces.
+        mesh: &'a Arc<CrossingMesh>,
+        /// Where it is.
+        place: &'a Place,
+    },
+    /// One box of fog.
     Fog {
-        /// Least corner of its box, object space.
+        /// Least corner, object space.
         min: Vec3,
         /// Greatest corner.
         max: Vec3,
         /// Binary logarithms of what is kept, for each metre in world space, times 2²⁴; above 0 and below 2⁴².
         rate: i64,
+        /// Where it is.
+        place: &'a Place,
+    },
+    /// Up to 32 shrubs.
+    Shrubs {
+        /// Base of the records.
+        base: [i32; 3],
+        /// One for each shrub.
+        records: Vec<ShrubRecord>,
     },
 }
 
@@ -28,24 +42,29 @@ impl Foliage {
         self.mode
     }
 
-    /// The children of a node of the tree over all objects; a leaf is one object. There is no node where there is nothing; else
-    /// the root is node 0.
+    /// The children of a node of the tree over everything; a leaf is one thing, of [`Self::leaf`]. There is no node where there
+    /// is nothing; else the root is node 0.
     pub fn children(&self, node: u32) -> impl Iterator<Item = BvhChild> {
         self.nodes[node as usize].slots()
     }
 
-    /// All objects by the indices that leaves name: where they are, of which only the transform counts, and what they are.
-    pub fn objects(&self) -> impl ExactSizeIterator<Item = (&SceneInstance, FoliageView<'_>)> {
-        self.objects.iter().map(|Placed { place, what }| (place, what.view()))
-    }
-}
-
-impl What {
-    fn view(&self) -> FoliageView<'_> {
-        match self {
-            Self::Crossings(mesh) => FoliageView::Crossings(mesh),
-            Self::Fog { min, max, rate } => FoliageView::Fog { min: *min, max: *max, rate: *rate },
+    /// What a leaf names.
+    pub fn leaf(&self, index: u32) -> FoliageView<'_> {
+        let index = index as usize;
+        if index < self.groups.len() {
+            let (base, records) = self.groups.records(index);
+            return FoliageView::Shrubs { base, records };
         }
+        let Placed { place, what, .. } = &self.objects[index - self.groups.len()];
+        match what {
+            What::Crossings(mesh) => FoliageView::Crossings { mesh, place },
+            What::Fog { min, max, rate } => FoliageView::Fog { min: *min, max: *max, rate: *rate, place },
+        }
+    }
+
+    /// All that leaves name, by index.
+    pub fn leaves(&self) -> impl Iterator<Item = FoliageView<'_>> {
+        (0..(self.groups.len() + self.objects.len()) as u32).map(|index| self.leaf(index))
     }
 }
 
