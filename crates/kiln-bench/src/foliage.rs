@@ -59,7 +59,7 @@ pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
         let (baked, seconds) = bake(mode, &["--foliage", mode])?;
         let errors = baked::compare(&gold.path, &baked.path)?;
         let (rmse, mean) = (errors.map(|error| error.rmse), errors.map(|error| -error.bias));
-        let number = |path: &str| baked.report.pointer(path).and_then(serde_json::Value::as_f64).unwrap_or(f64::NAN);
+        let number = |path: &str| baked.report.pointer(path).and_then(serde_json::Value::as_f64).unwrap_or(None);
         println!(
             "| {} | {:.4} | {:.4} | {:+.4}, {:+.4} | {seconds:.1} | {:.1} | {:.1} |",
             mode,
@@ -159,19 +159,20 @@ fn memory(path: &Path) -> Result<(), BenchError> {
         let count = (0..soft.level.instances.len()).filter(|index| is_in(*index)).count();
         let traced = Built::as_foliage(&soft, is_in);
         let instanced = Built::as_instances(&solid, is_in);
-        let row = |what: &str, bytes: f64, secs: f64| {
+        let row = |what: &str, bytes: f64, secs: Option<f64>| {
             let (mib, each) = (bytes / f64::from(1 << 20), bytes / count.max(1) as f64);
             let ratio = bytes / traced.bytes.max(1.0);
-            println!("| {count} {name} | {what} | {mib:.3} | {each:.1} | {ratio:.1} | {:.1} |", 1e3 * secs);
+            let built = secs.map(|secs| format!("{:.1}", 1e3 * secs)).unwrap_or_default();
+            println!("| {count} {name} | {what} | {mib:.3} | {each:.1} | {ratio:.1} | {built} |");
         };
         row(
             &format!("foliage: {} fog boxes in records, models of trees once each", traced.in_records),
             traced.bytes,
-            traced.secs,
+            Some(traced.secs),
         );
-        row(&format!("instances of {} models, once each", instanced.models), instanced.bytes, instanced.secs);
-        row("these without the models", instanced.bytes - instanced.model_bytes, f64::NAN);
-        row(&format!("copies, {} faces", instanced.faces), instanced.faces as f64 * BYTES_PER_FACE, f64::NAN);
+        row(&format!("instances of {} models, once each", instanced.models), instanced.bytes, Some(instanced.secs));
+        row("these without the models", instanced.bytes - instanced.model_bytes, None);
+        row(&format!("copies, {} faces", instanced.faces), instanced.faces as f64 * BYTES_PER_FACE, None);
     }
     println!();
     Ok(())

@@ -69,8 +69,8 @@ impl GpuDevice {
         Self::open_with(choice, DeviceOptions::default())
     }
 
-    /// As [`GpuDevice::open`], with options. With ray queries a small scene is traced both ways; a device on which the results differ is
-    /// refused.
+    /// As [`GpuDevice::open`], with options. A device that ends loops too soon is refused; with ray queries a small scene is traced both ways,
+    /// and one on which the results differ is refused, too.
     pub fn open_with(choice: &AdapterChoice, options: DeviceOptions) -> Result<Option<Arc<Self>>, GpuError> {
         let adapters = adapter::enumerate();
         let summaries: Vec<AdapterSummary> =
@@ -82,6 +82,7 @@ impl GpuDevice {
             return Err(GpuError::NotFound { wanted: wanted.clone(), found });
         };
         let device = Self::open_adapter(&adapters[index], &summaries[index], options)?;
+        device.check_loops()?;
         if options.ray_queries {
             ray_query::check(&device)?;
         }

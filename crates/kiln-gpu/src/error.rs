@@ -31,6 +31,20 @@ pub enum GpuError {
         /// What the driver said.
         reason: String,
     },
+    /// The driver ends loops before they are over, so that rays would miss what they meet.
+    #[error(
+        "the driver of the adapter {adapter} ends a shader's loops too soon ({found} of {asked} rounds of a check), so that rays would miss \
+         what they meet; update it (Mesa's software driver of 2025 is right, that of 22.3 is not), name another adapter in KILN_GPU, or use \
+         --backend cpu"
+    )]
+    CutsLoops {
+        /// The adapter, with its driver.
+        adapter: String,
+        /// Rounds that there were.
+        found: u32,
+        /// Rounds that were asked for.
+        asked: u32,
+    },
     /// The adapter has no ray queries.
     #[error(
         "the adapter {adapter} cannot trace by ray queries: {missing}; leave --ray-queries away, name another adapter in KILN_GPU, or install a \

@@ -1,4 +1,5 @@
-//! Parts of the gather kernel by themselves, so that tests can compare them with the CPU; the host side of `probe.wgsl`.
+//! Parts of the gather kernel by themselves, so that tests can compare them with the CPU, and a check of the driver's loops; the host side
+//! of `probe.wgsl`.
 
 use crate::{
     GpuDevice, GpuError,
@@ -40,7 +41,29 @@ pub struct ProbedRay {
 const NO_SCENE: SceneShape =
     SceneShape { bindings: 0, binding_shift: 0, stack_entries: 0, ray_queries: false, foliage: FoliageShape::Nothing };
 
+/// Rounds of the check of loops: the outer ones, and those in each.
+const ROUNDS: [u32; 2] = [512, 512];
+
 impl GpuDevice {
+    /// Whether loops come to their ends, however many rounds there are in all: old software drivers stop after 65,535 of a lane, and say
+    /// nothing.
+    pub(crate) fn check_loops(&self) -> Result<(), GpuError> {
+        let [outer, inner] = ROUNDS;
+        let input: [u32; 4] = [41, inner, 0, 0];
+        let mut state = input[0];
+        for _ in 0..outer * inner {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            state ^= state >> 15;
+        }
+        let found =
+            self.probe(Entry::Rounds, Kernel::zeroed(), Cones::new(1, 1), outer as usize, bytes_of(&input), 1)?;
+        if found.first().is_some_and(|word| word[..2] == [outer * inner, state]) {
+            return Ok(());
+        }
+        let rounds = found.first().map_or(0, |word| word[0]);
+        Err(GpuError::CutsLoops { adapter: self.adapter().to_string(), found: rounds, asked: outer * inner })
+    }
+
     /// The rays of each sample, in the order in which they are traced. At most 4 Mi rays at a time.
     pub fn probe_rays(&self, samples: &[SurfaceSample], rays_per_sample: u32) -> Result<Vec<Vec<ProbedRay>>, GpuError> {
         let cones = Cones::new(rays_per_sample, samples.len());

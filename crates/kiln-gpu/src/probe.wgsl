@@ -1,4 +1,4 @@
-// What the gather kernel computes before and after tracing, by itself, for tests; probe.rs.
+// What the gather kernel computes before and after tracing, by itself, for tests, and whether loops come to their ends; probe.rs.
 
 const LANES: u32 = 64u;
 
@@ -6,7 +6,7 @@ const LANES: u32 = 64u;
 struct ProbeParams {
     kernel: Kernel,
     cones: Cones,
-    // Samples, or distances.
+    // Samples, distances, or rounds.
     count: u32,
 }
 
@@ -39,4 +39,22 @@ fn hit_values(@builtin(global_invocation_id) id: vec3<u32>) {
     if id.x < params.count {
         results[id.x] = hit_value(params.kernel, bitcast<f32>(values[id.x / 4u][id.x % 4u]));
     }
+}
+
+// So many rounds of loops within each other, of numbers that the compiler does not know: how many there were, and what came of them.
+@compute @workgroup_size(LANES)
+fn rounds(@builtin(global_invocation_id) id: vec3<u32>) {
+    if id.x > 0u {
+        return;
+    }
+    var done = 0u;
+    var state = values[0].x;
+    for (var outer = 0u; outer < params.count; outer++) {
+        for (var inner = 0u; inner < values[0].y; inner++) {
+            state = state * 1664525u + 1013904223u;
+            state ^= state >> 15u;
+            done++;
+        }
+    }
+    results[0] = vec4(done, state, 0u, 0u);
 }

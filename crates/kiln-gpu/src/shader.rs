@@ -14,12 +14,21 @@ pub(crate) enum Entry {
     Visits,
     Directions,
     HitValues,
+    Rounds,
 }
 
 impl Entry {
     #[cfg(test)]
-    pub(crate) const ALL: [Self; 7] =
-        [Self::Gather, Self::Values, Self::Trace, Self::AnyHit, Self::Visits, Self::Directions, Self::HitValues];
+    pub(crate) const ALL: [Self; 8] = [
+        Self::Gather,
+        Self::Values,
+        Self::Trace,
+        Self::AnyHit,
+        Self::Visits,
+        Self::Directions,
+        Self::HitValues,
+        Self::Rounds,
+    ];
 
     /// The entry point's name.
     pub(crate) fn name(self) -> &'static str {
@@ -31,12 +40,13 @@ impl Entry {
             Self::Visits => "count_visits",
             Self::Directions => "directions",
             Self::HitValues => "hit_values",
+            Self::Rounds => "rounds",
         }
     }
 
     /// Whether it reads a scene.
     pub(crate) fn is_traced(self) -> bool {
-        !matches!(self, Self::Directions | Self::HitValues)
+        !matches!(self, Self::Directions | Self::HitValues | Self::Rounds)
     }
 
     /// Whether it values rays, and so reads foliage.
@@ -57,7 +67,7 @@ impl Entry {
             Self::Trace => &[RAYS, include_str!("trace.wgsl")],
             Self::AnyHit => &[RAYS, include_str!("any_hit.wgsl")],
             Self::Visits => &[RAYS, include_str!("visits.wgsl")],
-            Self::Directions | Self::HitValues => &[SAMPLING, KERNEL, include_str!("probe.wgsl")],
+            Self::Directions | Self::HitValues | Self::Rounds => &[SAMPLING, KERNEL, include_str!("probe.wgsl")],
         };
         if self.is_traced() { [&self.traced_modules(shape)[..], own].concat() } else { own.to_vec() }
     }
