@@ -59,7 +59,7 @@ pub(crate) fn run(args: &Args) -> Result<(), BenchError> {
         let (baked, seconds) = bake(mode, &["--foliage", mode])?;
         let errors = baked::compare(&gold.path, &baked.path)?;
         let (rmse, mean) = (errors.map(|error| error.rmse), errors.map(|error| -error.bias));
-        let number = |path: &str| baked.report.pointer(path).and_then(serde_json::Value::as_f64).unwrap_or(None);
+        let number = |path: &str| baked.report.pointer(path).and_then(serde_json::Value::as_f64).unwrap_or(f64::NAN);
         println!(
             "| {} | {:.4} | {:.4} | {:+.4}, {:+.4} | {seconds:.1} | {:.1} | {:.1} |",
             mode,

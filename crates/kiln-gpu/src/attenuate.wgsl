@@ -1,6 +1,6 @@
 // What a ray loses where its value is multiplied by what is kept on the whole way: one sum, in any order. foliage.rs.
 
-// From here on, half a unit of a ray's value is more than what is kept.
+// Above this, half a unit of a ray's value is more than what is kept.
 const ALL_LOST: u32 = 1114112u;
 const MOST_DEPTH: f32 = 4e9f;
 
@@ -17,7 +17,7 @@ fn walk_to() -> f32 {
 }
 
 fn is_walk_over() -> bool {
-    return lost >= ALL_LOST;
+    return lost > ALL_LOST;
 }
 
 fn meet_face(t: f32, depth: u32) {

@@ -33,7 +33,7 @@ pub enum GpuError {
     },
     /// The driver ends loops before they are over, so that rays would miss what they meet.
     #[error(
-        "the driver of the adapter {adapter} ends a shader's loops too soon ({found} of {asked} rounds of a check), so that rays would miss \
+        "the driver of the adapter {adapter} ends a shader's loops too soon, or counts wrong ({found} of {asked} rounds of a check), so that rays would miss \
          what they meet; update it (Mesa's software driver of 2025 is right, that of 22.3 is not), name another adapter in KILN_GPU, or use \
          --backend cpu"
     )]

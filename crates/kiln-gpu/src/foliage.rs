@@ -154,13 +154,12 @@ impl<'a> FoliageLayout<'a> {
                 upload.write(cast_slice(&triangles))?;
             }
         }
-        for leaf in self.foliage.leaves() {
-            if let FoliageView::Shrubs { records, .. } = leaf {
-                let words: Vec<[u32; 4]> = records.iter().map(|record| record.0).collect();
-                upload.write(cast_slice(&words))?;
-            }
-        }
-        Ok(())
+        let shrubs = self.groups.keys().flat_map(|group| match self.foliage.leaf(*group) {
+            FoliageView::Shrubs { records, .. } => records,
+            FoliageView::Crossings { .. } | FoliageView::Fog { .. } => Vec::new(),
+        });
+        let words: Vec<[u32; 4]> = shrubs.map(|record| record.0).collect();
+        upload.write(cast_slice(&words))
     }
 
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "halves; words are checked to fit")]

@@ -134,7 +134,7 @@ fn shape(gpu: &GpuDevice, scene: &Scene, layout: &Layout<'_>, binding_bytes: u64
     // A rank is an object's index below MISS_RANK.
     let instances = scene.instances.iter().map(|instance| u64::from(instance.object) + 1).max().unwrap_or(0);
     if instances >= u64::from(MISS_RANK) {
-        return Err(gpu.too_large("the instance table", instances, u64::from(MISS_RANK)));
+        return Err(gpu.too_large("the table of objects", instances, u64::from(MISS_RANK)));
     }
     let bindings = u32::try_from(layout.total_words.div_ceil(1 << binding_shift)).unwrap_or(u32::MAX);
     let (stack_entries, ray_queries) = (layout.stack_entries(), layout.ray_queries);

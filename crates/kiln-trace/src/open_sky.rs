@@ -1,7 +1,7 @@
 //! Finds samples that need no ray: nothing lies above their surface within reach, so that AO is 1.
 
 use crate::{
-    CosineSums, ONE, Scene, SurfaceSample, cosine_direction,
+    BvhChild, CosineSums, Foliage, ONE, Scene, SurfaceSample, cosine_direction,
     node::{BvhLink, MAX_STACK, WideNode},
     orthonormal_basis,
     scene::linear,
@@ -13,7 +13,15 @@ use glam::Vec3;
 /// `origin` with unit normal `normal`, and no box of foliage or of faces with holes. A ray above the plane then meets nothing.
 pub fn is_open_above(scene: &Scene, origin: Vec3, normal: Vec3, reach: f32) -> bool {
     let plane = HalfSpace { normal, offset: normal.dot(origin), near: Some((origin, reach)) };
-    if scene.foliage.as_ref().is_some_and(|foliage| any_above(&foliage.nodes, &plane, |_, _| true)) {
+    // Each shrub by itself: what shares its leaf changes nothing.
+    let is_above = |foliage: &Foliage| {
+        let is_leaf_above = |leaf, _| match foliage.group_bounds(leaf) {
+            Some(mut boxes) => boxes.any(|bounds| plane.reaches_box(bounds)),
+            None => true,
+        };
+        any_above(&foliage.nodes, &plane, is_leaf_above)
+    };
+    if scene.foliage.as_ref().is_some_and(is_above) {
         return false;
     }
     if scene.cutouts.as_ref().is_some_and(|cutouts| any_above(&cutouts.nodes, &plane, |_, _| true)) {
@@ -80,6 +88,12 @@ impl HalfSpace {
         }
         let is_reached = |lane: &usize| height[*lane] > 0.0 && squared[*lane] <= reach * reach;
         (0..8).filter(is_reached).fold(0, |mask, lane| mask | 1 << lane)
+    }
+
+    /// Likewise for one box: a node's box around it is reached where it is.
+    fn reaches_box(&self, [min, max]: [Vec3; 2]) -> bool {
+        let link = BvhLink::Leaf { first: 0, count: 1 };
+        self.reaches(&WideNode::new(&[BvhChild { min, max, link }])) & 1 != 0
     }
 }
 

@@ -138,6 +138,7 @@ impl Scene {
             boxes.push(Boxed::new(instances.len() as u32, min, max));
             instances.push(SceneInstance::of(index, object));
         }
+        instances.shrink_to_fit();
         Self { meshes, instances, nodes: tree_over(boxes), foliage: None, cutouts: None }
     }
 
@@ -156,6 +157,7 @@ impl Scene {
             });
             boxes.push(Boxed::new(instance as u32, min, max));
         }
+        self.instances.shrink_to_fit();
         let nodes = tree_over(boxes);
         self.cutouts = (!nodes.is_empty()).then_some(SceneCutouts { nodes, meshes });
         self

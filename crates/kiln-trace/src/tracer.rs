@@ -57,7 +57,7 @@ pub struct Ray {
 pub struct Hit {
     /// Distance in units of the direction's length; infinite on a miss.
     pub t: f32,
-    /// Index of the instance in the scene.
+    /// Index of the object that the scene was built of.
     pub instance: u32,
     /// Face of the mesh.
     pub primitive: u32,

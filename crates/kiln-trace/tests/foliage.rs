@@ -152,6 +152,38 @@ fn foliage_is_no_open_sky() {
     assert!(!above(crossings(&ceiling(5.0, 1.0), 0.5, DAffine3::IDENTITY)));
 }
 
+/// Whether a sample is open follows from each shrub, not from the box around those that share its leaf.
+#[test]
+fn shrubs_on_either_side_leave_the_sky_open() {
+    let at = |x: f64| fog(DVec3::NEG_ONE, DVec3::ONE, 0.5, DAffine3::from_translation(DVec3::new(x, 3.0, 0.0)));
+    let is_open = |objects: &[FoliageObject]| {
+        let scene = scene(&[], objects, FoliageMode::Expected);
+        assert_eq!(scene.foliage().expect("fog").leaves().count(), 1);
+        is_open_above(&scene, Vec3::ZERO, Vec3::Y, 10.0)
+    };
+    assert!(is_open(&[at(-15.0), at(15.0)]) && is_open(&[at(15.0)]));
+    assert!(!is_open(&[at(-15.0), at(15.0), at(9.0)]) && !is_open(&[at(9.0)]));
+}
+
+/// Nothing is kept of a ray that has lost all there was, however many crossings there are after it, and whoever takes it.
+#[test]
+fn what_is_lost_is_lost() {
+    let kernel = KernelRates::new(&Kernel::Occlusion { ray_distance_m: f64::INFINITY });
+    for (layers, left) in [(16, 1), (17, 1), (18, 0), (20, 0), (40, 0)] {
+        let foliage: Vec<_> =
+            (0..layers).map(|i| crossings(&ceiling(1.0 + i as f32, 1e5), 0.5, DAffine3::IDENTITY)).collect();
+        for rays in [1, 64] {
+            let scene = scene(&[], &foliage, FoliageMode::Attenuate);
+            let upwards = (0..).map(|seed| sample(Vec3::ZERO, Vec3::Y, seed)).find(|sample| {
+                let basis = orthonormal_basis(Vec3::Y);
+                (0..rays).all(|index| cosine_direction(sobol_point(index, sample.scramble), Vec3::Y, basis).y > 0.01)
+            });
+            let found = gather(scene, upwards.expect("no ray at the horizon"), &kernel, rays, Path::detect());
+            assert_eq!(found.values[0], left * rays, "{layers} {rays}");
+        }
+    }
+}
+
 #[test]
 fn what_is_behind_the_closest_hit_does_not_count() {
     let kernel = KernelRates::new(&Kernel::Obscurance { half_distances_m: vec![2.0] });

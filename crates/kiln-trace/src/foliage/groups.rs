@@ -83,6 +83,8 @@ impl Groups {
             boxes.push(groups.push(run));
             rest = behind;
         }
+        groups.groups.shrink_to_fit();
+        groups.blocks.shrink_to_fit();
         (groups, boxes)
     }
 
@@ -125,6 +127,11 @@ impl Groups {
     fn record(&self, group: &Group, index: usize) -> ShrubRecord {
         let (block, lane) = (&self.blocks[group.first_block() + index / 8], index % 8);
         ShrubRecord([block[0][lane], block[1][lane], block[2][lane], block[3][lane]])
+    }
+
+    /// All shrubs of a group.
+    pub(super) fn boxes(&self, group: usize) -> impl Iterator<Item = FogBox> {
+        (0..self.groups[group].count()).map(move |index| self.shrub(group, index))
     }
 
     /// A shrub of a group.
@@ -302,11 +309,16 @@ mod tests {
                 found.push(unpacked);
             }
         }
-        let mut expected: Vec<FogBox> = shrubs.iter().map(Shrub::unpacked).collect();
-        let key = |fog: &FogBox| fog.center.to_array().map(|x| (x.to_bits().cast_signed(), fog.half.x.to_bits()));
-        expected.sort_by_key(key);
-        found.sort_by_key(key);
-        assert!(found.iter().map(key).eq(expected.iter().map(key)));
+        let bits = |fog: &FogBox| {
+            let floats = [fog.center, fog.half, fog.axes.x_axis, fog.axes.y_axis, fog.axes.z_axis];
+            (floats.map(|v| v.to_array().map(f32::to_bits)), fog.rate)
+        };
+        let sorted = |all: Vec<FogBox>| {
+            let mut all: Vec<_> = all.iter().map(bits).collect();
+            all.sort_unstable();
+            all
+        };
+        assert!(sorted(found) == sorted(shrubs.iter().map(Shrub::unpacked).collect()));
         groups
     }
 
@@ -319,7 +331,7 @@ mod tests {
         #[test]
         fn groups_are_sound(
             places in prop::collection::vec(prop::array::uniform3(-1.0f64..1.0), 0..300),
-            spread in prop::sample::select(vec![0.0, 1.0, 30.0, 2000.0, 400_000.0]),
+            spread in prop::sample::select(vec![0.0, 1.0, 30.0, 2000.0, 60_000.0]),
         ) {
             let shrubs: Vec<Shrub> =
                 places.iter().enumerate().map(|(i, at)| shrub(DVec3::from_array(*at) * spread, 0.3 + 0.1 * (i % 5) as f64, i as f64)).collect();
@@ -371,10 +383,10 @@ mod tests {
     }
 
     #[test]
-    fn crowds_are_parted_in_time() {
+    fn crowds_are_parted() {
         // All towards a point, by halves and by less; all in one place; and more than one thread takes.
         let towards =
-            |factor: f64| (0..6000).map(move |i| shrub(DVec3::X * 3e5 * factor.powi(i), 0.2, 0.0)).collect::<Vec<_>>();
+            |factor: f64| (0..6000).map(move |i| shrub(DVec3::X * 6e4 * factor.powi(i), 0.2, 0.0)).collect::<Vec<_>>();
         check(&towards(0.5));
         check(&towards(0.995));
         check(&vec![shrub(DVec3::ONE, 0.5, 1.0); 5000]);

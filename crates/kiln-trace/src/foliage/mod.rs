@@ -160,6 +160,12 @@ impl Foliage {
         Self { mode, nodes, groups, objects: placed.into_iter().map(|(placed, _)| placed).collect() }
     }
 
+    /// The box around each shrub of a leaf that is a group.
+    pub(crate) fn group_bounds(&self, leaf: u32) -> Option<impl Iterator<Item = [Vec3; 2]>> {
+        let group = leaf as usize;
+        (group < self.groups.len()).then(|| self.groups.boxes(group).map(|fog| fog.bounds()))
+    }
+
     /// Whether there is nothing to go through.
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()
@@ -198,6 +204,15 @@ impl Placed {
             What::Fog { .. } => None,
         }
     }
+}
+
+/// The box around fog as it is traced, metres relative to the level's origin; `None` where it is not there for rays.
+pub fn fog_bounds(fog: &Fog, world_from_object: &DAffine3) -> Option<Bounds> {
+    let (min, max) = match Shrub::of(fog, world_from_object) {
+        Some(shrub) => shrub.unpacked().bounds().into(),
+        None => world_box(&fog.bounds, world_from_object)?,
+    };
+    Some(Bounds { min: min.as_dvec3(), max: max.as_dvec3() })
 }
 
 /// A shrub that has a record.

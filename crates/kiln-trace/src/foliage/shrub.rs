@@ -10,7 +10,8 @@
 //!   most. The rate is for the rounded box: its volume times its rate, which is what it takes from rays of all places and
 //!   directions together where it is thin, is off by a 512th, too.
 //!
-//! Boxes that no record can stand for (sheared, very small or large, far from the origin, very thin or dense fog) keep all their bits.
+//! Boxes that no record can stand for (sheared by half a milliradian and more, very small or large, 65 km from the origin, very thin or dense fog)
+//! keep all their bits.
 
 use super::{RATE_UNITS, inside::InBox};
 use crate::ray::TracedRay;
@@ -21,8 +22,8 @@ use kiln_core::Fog;
 const STEPS_PER_M: f64 = 256.0;
 pub(super) const STEP_M: f32 = 1.0 / 256.0;
 
-/// Steps of a group's base from the origin at most.
-const MOST_STEPS: f64 = 1e9;
+/// Places are less than this many steps from the origin, so that they are exact in f32.
+const MOST_STEPS: f64 = 16_777_215.0;
 
 /// Codes of a component of a quaternion, from −1/√2 to 1/√2.
 const HALF_CODES: i32 = 511;
@@ -84,8 +85,7 @@ impl Shrub {
         let rate = fog.density_per_m * std::f64::consts::LOG2_E;
         let rate = small_float(rate * (half / DVec3::from_array(rounded)).element_product(), LEAST_RATE)?;
         let place = world_from_object.transform_point3(fog.bounds.center()) * STEPS_PER_M;
-        let is_near = place.abs().max_element() < MOST_STEPS;
-        if !is_near {
+        if !place.abs().cmplt(DVec3::splat(MOST_STEPS)).all() {
             return None;
         }
         // A box looks the same in a mirror.
@@ -329,10 +329,13 @@ mod tests {
         }
         let sheared = DAffine3::from_mat3(DMat3::from_cols(DVec3::X, DVec3::new(0.1, 1.0, 0.0), DVec3::Z));
         let flat = DAffine3::from_scale(DVec3::new(1.0, 0.0, 1.0));
-        for place in [sheared, flat, DAffine3::from_translation(DVec3::X * 1e7), DAffine3::from_translation(DVec3::NAN)]
-        {
+        let nowhere = DVec3::AXES
+            .map(|axis| DAffine3::from_translation(DVec3::select(axis.cmpgt(DVec3::ZERO), DVec3::NAN, DVec3::ZERO)));
+        let far = [DVec3::X * 66e3, DVec3::NEG_Z * 1e300, DVec3::new(f64::INFINITY, 0.0, 0.0)]
+            .map(DAffine3::from_translation);
+        for place in [sheared, flat].into_iter().chain(nowhere).chain(far) {
             assert!(!is_packed(DVec3::ONE, 0.5, place), "{place:?}");
         }
-        assert!(is_packed(DVec3::ONE, 0.5, DAffine3::from_translation(DVec3::X * 1e5)));
+        assert!(is_packed(DVec3::ONE, 0.5, DAffine3::from_translation(DVec3::X * 65e3)));
     }
 }

@@ -11,7 +11,7 @@ use kiln_core::FoliageMode;
 /// Units of an optical depth, [`kiln_core::OpticalDepth`].
 const DEPTH_UNITS: f32 = 65536.0;
 
-/// From here on, half a unit of a ray's value is more than what is kept.
+/// Above this, half a unit of a ray's value is more than what is kept; a ray may end there, for whatever else it meets changes nothing.
 pub(super) const ALL_LOST: u64 = 17 << 16;
 
 /// A change on a ray's way.
@@ -67,7 +67,7 @@ impl Lost {
         }
         let sum = &mut self.depth[ray % BUNDLE];
         *sum += u64::from(depth);
-        *sum >= ALL_LOST
+        *sum > ALL_LOST
     }
 
     /// A ray goes through fog from one distance to another. Returns whether it has lost all there was.
@@ -81,7 +81,7 @@ impl Lost {
         }
         let sum = &mut self.depth[ray % BUNDLE];
         *sum += ((far - near) * per_m(rate) * DEPTH_UNITS + 0.5) as u64;
-        *sum >= ALL_LOST
+        *sum > ALL_LOST
     }
 
     /// The sum of what a ray has lost, where the order does not matter.

@@ -279,7 +279,11 @@ fn build_once<T: Send + Sync>(slot: &OnceLock<T>, build: impl FnOnce() -> T + Se
 fn reach(level: &Level) -> Result<Reach, TaskError> {
     let seen = |instance: &Instance| {
         let mesh = level.meshes.get(instance.mesh as usize).ok_or_else(|| out_of_range("mesh", instance.mesh))?;
-        Ok(kiln_bake::seen_bounds(&mesh.bounds, &instance.world_from_object))
+        let mut seen = kiln_bake::seen_bounds(&mesh.bounds, &instance.world_from_object);
+        // Fog reaches out of a flat shrub, and is rounded.
+        let fog = instance.fog.and_then(|fog| kiln_trace::fog_bounds(&fog, &instance.world_from_object));
+        fog.iter().for_each(|fog| seen.merge(fog));
+        Ok(seen)
     };
     let seen = level.instances.iter().map(seen).collect::<Result<Vec<Bounds>, TaskError>>()?;
     Ok(Reach::new(level, &seen))
