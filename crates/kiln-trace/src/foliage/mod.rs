@@ -12,7 +12,7 @@
 //! How far a ray goes through fog is measured in world space: a ray's parameter is the same in all spaces, and its direction
 //! is of unit length.
 //!
-//! Shrubs are what a level has most of. Those that [`shrub`] has a record for lie in [`groups`] of up to 32, each a leaf of the
+//! Shrubs are what a level has most of. Those that [`shrub`] has a record for lie in [`groups`] of up to 16, each a leaf of the
 //! tree; other boxes of fog, and trees, are leaves by themselves.
 
 mod cross;

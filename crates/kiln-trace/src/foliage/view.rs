@@ -27,7 +27,7 @@ pub enum FoliageView<'a> {
         /// Where it is.
         place: &'a Place,
     },
-    /// Up to 32 shrubs.
+    /// Up to 16 shrubs.
     Shrubs {
         /// Base of the records.
         base: [i32; 3],
