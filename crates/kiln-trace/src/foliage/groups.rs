@@ -1,6 +1,6 @@
 //! Shrubs near each other, up to 16 in one leaf of the tree.
 //!
-//! A leaf of many things costs nodes little: with its records and its part of the nodes a shrub takes some 19 bytes. What it
+//! A leaf of many things costs nodes little: with its records and its part of the nodes a shrub takes some 20 bytes. What it
 //! would cost rays is kept low by a test of eight shrubs at once, against the spheres around their boxes, for which no axes have to be unpacked.
 //!
 //! Groups are full: shrubs are parted by the surface area heuristic (Goldsmith and Salmon 1987) at multiples of 16 along
@@ -52,7 +52,7 @@ pub(crate) struct Groups {
     blocks: Vec<Block>,
 }
 
-/// The rounds of a group: what its shrubs are tested by first.
+/// The spheres around the boxes of a group, which its shrubs are tested by first.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spheres {
     count: usize,
@@ -73,8 +73,8 @@ const WAY_SLACK: f32 = 1.0 / 17_179_869_184.0;
 
 impl Groups {
     /// Of shrubs, with the box around each group.
-    pub(super) fn of(mut shrubs: Vec<Shrub>) -> (Self, Vec<[Vec3; 2]>) {
-        let mut boxed: Vec<Placed> = shrubs.drain(..).map(Placed::new).collect();
+    pub(super) fn of(shrubs: Vec<Shrub>) -> (Self, Vec<[Vec3; 2]>) {
+        let mut boxed: Vec<Placed> = shrubs.into_iter().map(Placed::new).collect();
         let mut groups = Self::default();
         let mut boxes = Vec::new();
         let mut rest = boxed.as_mut_slice();

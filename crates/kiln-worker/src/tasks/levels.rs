@@ -436,6 +436,21 @@ mod tests {
         }
     }
 
+    /// Fog counts as far as it is traced, which may be beyond the shrub's faces.
+    #[test]
+    fn rays_come_to_fog_where_it_is_traced() {
+        let [part, whole] = courtyard();
+        let out = (0..whole.level.instances.len()).find(|i| !part.is_traced(*i)).unwrap();
+        let mut level = whole.level.clone();
+        let bounds = level.meshes[level.instances[out].mesh as usize].bounds;
+        let mut is_reached = |grown_m: f64| {
+            let bounds = Bounds { min: bounds.min - grown_m, max: bounds.max + grown_m };
+            level.instances[out].fog = Some(kiln_core::Fog { bounds, density_per_m: 0.5 });
+            reach(&level).unwrap().is_reached()[out]
+        };
+        assert!(!is_reached(0.0) && is_reached(30.0));
+    }
+
     #[test]
     fn what_is_not_loaded_changes_nothing() {
         let [part, whole] = courtyard();
