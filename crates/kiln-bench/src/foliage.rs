@@ -11,7 +11,8 @@ use glam::{DAffine3, DVec3, Vec3};
 use kiln_bake::{BakedInstance, BakedSurface};
 use kiln_core::{FaceGroup, Foliage as FaceFoliage, FoliageMode, Mesh};
 use kiln_scene::{BakedPart, BakedScene};
-use kiln_trace::{CpuTracer, CrossingMesh, Foliage, FoliageObject, Hit, MeshBvh, Ray, Scene, SceneObject, Tracer};
+use kiln_trace::{CpuTracer, Hit, MeshBvh, Ray, Scene, SceneObject, Tracer};
+use kiln_worker::tasks::foliage_of;
 use std::{
     collections::HashMap,
     path::{Path, PathBuf},
@@ -157,18 +158,23 @@ fn memory(path: &Path) -> Result<(), BenchError> {
     let both = |index: usize| is_shrub(index) || is_tree(index);
     for (name, is_in) in [("shrubs", &is_shrub as &dyn Fn(usize) -> bool), ("shrubs and trees", &both)] {
         let count = (0..soft.level.instances.len()).filter(|index| is_in(*index)).count();
-        let traced = Built::as_foliage(&soft, is_in);
-        let instanced = Built::as_instances(&solid, is_in);
+        let placed = soft.level.instances.iter().enumerate().filter(|(index, _)| is_in(*index));
+        let placed = placed.map(|(_, instance)| (instance, &soft.meshes[instance.mesh as usize]));
+        let began = Instant::now();
+        let traced = foliage_of(placed, FoliageMode::Expected);
+        let traced_secs = began.elapsed().as_secs_f64();
+        let traced_bytes = traced.memory_bytes() as f64;
+        let instanced = Instanced::build(&solid, is_in);
         let row = |what: &str, bytes: f64, secs: Option<f64>| {
             let (mib, each) = (bytes / f64::from(1 << 20), bytes / count.max(1) as f64);
-            let ratio = bytes / traced.bytes.max(1.0);
+            let ratio = bytes / traced_bytes.max(1.0);
             let built = secs.map(|secs| format!("{:.1}", 1e3 * secs)).unwrap_or_default();
             println!("| {count} {name} | {what} | {mib:.3} | {each:.1} | {ratio:.1} | {built} |");
         };
         row(
-            &format!("foliage: {} fog boxes in records, models of trees once each", traced.in_records),
-            traced.bytes,
-            Some(traced.secs),
+            &format!("foliage: {} fog boxes in records, models of trees once each", traced.packed_shrubs()),
+            traced_bytes,
+            Some(traced_secs),
         );
         row(&format!("instances of {} models, once each", instanced.models), instanced.bytes, Some(instanced.secs));
         row("these without the models", instanced.bytes - instanced.model_bytes, None);
@@ -178,42 +184,20 @@ fn memory(path: &Path) -> Result<(), BenchError> {
     Ok(())
 }
 
-/// Trees of boxes that were built.
-struct Built {
+/// Instances of real geometry that were built.
+struct Instanced {
     bytes: f64,
     /// The part of the models' own trees.
     model_bytes: f64,
     models: usize,
     /// Over all instances.
     faces: usize,
-    /// Shrubs that take sixteen bytes.
-    in_records: usize,
     secs: f64,
 }
 
-impl Built {
-    /// Some instances of a level as rays go through them.
-    fn as_foliage(imported: &Imported, is_in: &dyn Fn(usize) -> bool) -> Self {
-        let began = Instant::now();
-        let mut trees: HashMap<u32, Option<Arc<CrossingMesh>>> = HashMap::new();
-        let mut objects = Vec::new();
-        for (_, instance) in imported.level.instances.iter().enumerate().filter(|(index, _)| is_in(*index)) {
-            let mesh = &imported.meshes[instance.mesh as usize];
-            let tree = trees.entry(instance.mesh).or_insert_with(|| CrossingMesh::build(mesh).map(Arc::new));
-            let world_from_object = instance.world_from_object;
-            objects.extend(tree.iter().cloned().map(|mesh| FoliageObject::Crossings { mesh, world_from_object }));
-            objects.extend(instance.fog.map(|fog| FoliageObject::Fog { fog, world_from_object }));
-        }
-        let foliage = Foliage::build(&objects, FoliageMode::Expected);
-        let secs = began.elapsed().as_secs_f64();
-        let models = trees.values().flatten();
-        let model_bytes = models.clone().map(|mesh| mesh.memory_bytes()).sum::<usize>() as f64;
-        let (bytes, in_records) = (foliage.memory_bytes() as f64, foliage.packed_shrubs());
-        Self { bytes, model_bytes, models: models.count(), faces: 0, in_records, secs }
-    }
-
-    /// Some instances of a level as geometry in two levels.
-    fn as_instances(imported: &Imported, is_in: &dyn Fn(usize) -> bool) -> Self {
+impl Instanced {
+    /// Some instances of a level, in two levels.
+    fn build(imported: &Imported, is_in: &dyn Fn(usize) -> bool) -> Self {
         let began = Instant::now();
         let (mut index_of, mut meshes, mut objects, mut faces) = (HashMap::new(), Vec::new(), Vec::new(), 0);
         for (_, instance) in imported.level.instances.iter().enumerate().filter(|(index, _)| is_in(*index)) {
@@ -228,7 +212,7 @@ impl Built {
         let secs = began.elapsed().as_secs_f64();
         let model_bytes = scene.meshes.iter().map(|mesh| mesh.memory_bytes()).sum::<usize>() as f64;
         let models = scene.meshes.len();
-        Self { bytes: scene.memory_bytes() as f64, model_bytes, models, faces, in_records: 0, secs }
+        Self { bytes: scene.memory_bytes() as f64, model_bytes, models, faces, secs }
     }
 }
 

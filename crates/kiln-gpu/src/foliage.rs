@@ -37,7 +37,7 @@ use crate::{
 use bytemuck::{Pod, Zeroable, cast, cast_slice};
 use glam::Vec3;
 use kiln_core::FoliageMode;
-use kiln_trace::{BvhChild, CrossingMesh, Foliage, FoliageView, Scene, TraceError};
+use kiln_trace::{BvhChild, CrossingMesh, Foliage, FoliageView, Scene, ShrubGroup, TraceError};
 use std::{collections::BTreeMap, sync::Arc};
 
 /// Set in the last word of a record of fog, and of one of a group; keep in sync with `foliage.wgsl`.
@@ -117,9 +117,9 @@ impl<'a> FoliageLayout<'a> {
             let mesh = match leaf {
                 FoliageView::Crossings { mesh, .. } => mesh,
                 FoliageView::Fog { .. } => continue,
-                FoliageView::Shrubs { records, .. } => {
+                FoliageView::Shrubs(group) => {
                     groups.insert(index, shrubs);
-                    shrubs += records.len() as u64;
+                    shrubs += group.records().len() as u64;
                     continue;
                 }
             };
@@ -154,11 +154,11 @@ impl<'a> FoliageLayout<'a> {
                 upload.write(cast_slice(&triangles))?;
             }
         }
-        let shrubs = self.groups.keys().flat_map(|group| match self.foliage.leaf(*group) {
-            FoliageView::Shrubs { records, .. } => records,
-            FoliageView::Crossings { .. } | FoliageView::Fog { .. } => Vec::new(),
+        let groups = self.foliage.leaves().filter_map(|leaf| match leaf {
+            FoliageView::Shrubs(group) => Some(group),
+            FoliageView::Crossings { .. } | FoliageView::Fog { .. } => None,
         });
-        let words: Vec<[u32; 4]> = shrubs.map(|record| record.0).collect();
+        let words: Vec<[u32; 4]> = groups.flat_map(ShrubGroup::records).map(|record| record.0).collect();
         upload.write(cast_slice(&words))
     }
 
@@ -177,10 +177,10 @@ impl<'a> FoliageLayout<'a> {
                 let words = [a, b, c, rate as u32, d, e, f, (rate >> 32) as u32 | FOG_BIT];
                 LeafRecord { object_from_world: place.object_from_world, words }
             }
-            FoliageView::Shrubs { base, records } => {
-                let [x, y, z] = base.map(i32::cast_unsigned);
+            FoliageView::Shrubs(group) => {
+                let [x, y, z] = group.base().map(i32::cast_unsigned);
                 let first = self.first_shrub + self.groups.get(&index).copied().unwrap_or_default();
-                let words = [x, y, z, first as u32, 0, 0, 0, GROUP_BIT | records.len() as u32];
+                let words = [x, y, z, first as u32, 0, 0, 0, GROUP_BIT | group.records().len() as u32];
                 LeafRecord { object_from_world: [[0.0; 4]; 3], words }
             }
         }

@@ -63,7 +63,7 @@ impl GpuTracer {
     pub fn knows(scene: &Scene) -> bool {
         let is_known = |leaf| match leaf {
             FoliageView::Crossings { mesh, .. } => !mesh.has_holes(),
-            FoliageView::Fog { .. } | FoliageView::Shrubs { .. } => true,
+            FoliageView::Fog { .. } | FoliageView::Shrubs(_) => true,
         };
         !scene.has_cutouts() && scene.foliage().is_none_or(|foliage| foliage.leaves().all(is_known))
     }

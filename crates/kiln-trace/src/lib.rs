@@ -41,7 +41,7 @@ mod triangle;
 pub use cpu::CpuTracer;
 pub use cutout::CutoutMesh;
 pub use directions::{cosine_direction, orthonormal_basis, sphere_direction};
-pub use foliage::{CrossingMesh, FogBox, Foliage, FoliageObject, FoliageView, ShrubRecord, fog_bounds};
+pub use foliage::{CrossingMesh, FogBox, Foliage, FoliageObject, FoliageView, ShrubGroup, ShrubRecord, fog_bounds};
 pub use harmonics::{HARMONICS, quadratic_harmonics};
 pub use kernel::{KernelRates, MAX_RAYS_PER_SAMPLE, ONE, REACH_EPSILON};
 pub use mesh_bvh::MeshBvh;

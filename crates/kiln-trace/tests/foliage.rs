@@ -291,15 +291,15 @@ impl Traced {
                 let (min, max) = (min.as_dvec3(), max.as_dvec3());
                 vec![Self { min, max, density_per_m: density(rate), object_from_world }]
             }
-            FoliageView::Shrubs { base, records } => {
-                let traced = |record: &ShrubRecord| {
-                    let fog = record.unpacked(base);
+            FoliageView::Shrubs(group) => {
+                let traced = |record: ShrubRecord| {
+                    let fog = record.unpacked(group.base());
                     let turn = fog.axes.as_dmat3().transpose();
                     let half = fog.half.as_dvec3();
                     let object_from_world = DAffine3 { matrix3: turn, translation: -(turn * fog.center.as_dvec3()) };
                     Self { min: -half, max: half, density_per_m: density(fog.rate), object_from_world }
                 };
-                records.iter().map(traced).collect()
+                group.records().map(traced).collect()
             }
         };
         foliage.leaves().flat_map(boxes).collect()

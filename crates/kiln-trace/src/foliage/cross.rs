@@ -359,8 +359,9 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// What a ray loses in shrubs is the sum of what it loses in each where there is no other, to the bit: whatever shares its group,
-        /// in a bundle, by itself in the last nodes (there are enough for a second level), or all the way, and on both paths; also where it only grazes edges from far away, which rounds rays by more than boxes have of slack.
+        /// What a ray loses in shrubs is the sum of what it loses in each where there is no other, to the bit: whatever shares its group; in a
+        /// bundle, by itself in the last nodes (there are enough for a second level), or all the way; and on both paths. Also where it
+        /// only grazes edges from far away, which rounds rays by more than boxes have of slack.
         #[test]
         fn each_shrub_takes_what_it_takes_alone(
             shrubs in prop::collection::vec((unit(), unit(), 0.1f64..1.0, 0.5f64..6.0, 0.0f64..1.0), 1..600),

@@ -13,6 +13,9 @@ use glam::{IVec3, Vec3};
 /// Shrubs of a group at most.
 pub(super) const MOST: usize = 16;
 
+// What the bits of a run, and of a mask of shrubs, have room for.
+const _: () = assert!(MOST <= 32 && MOST.is_multiple_of(8));
+
 /// Steps of the lattice that a group may be wide.
 const WIDTH: i32 = 1 << 16;
 
@@ -50,6 +53,25 @@ impl Group {
 pub(crate) struct Groups {
     groups: Vec<Group>,
     blocks: Vec<Block>,
+}
+
+/// Shrubs that share a leaf.
+#[derive(Clone, Copy, Debug)]
+pub struct ShrubGroup<'a> {
+    groups: &'a Groups,
+    group: &'a Group,
+}
+
+impl<'a> ShrubGroup<'a> {
+    /// What the records of its shrubs are relative to, see [`ShrubRecord::unpacked`].
+    pub fn base(self) -> [i32; 3] {
+        self.group.base
+    }
+
+    /// The record of each shrub, 1 to 16.
+    pub fn records(self) -> impl ExactSizeIterator<Item = ShrubRecord> + 'a {
+        (0..self.group.count()).map(move |index| self.groups.record(self.group, index))
+    }
 }
 
 /// The spheres around the boxes of a group, which its shrubs are tested by first.
@@ -117,10 +139,9 @@ impl Groups {
         size_of_val(self.groups.as_slice()) + size_of_val(self.blocks.as_slice())
     }
 
-    /// Base and records of a group.
-    pub(super) fn records(&self, group: usize) -> ([i32; 3], Vec<ShrubRecord>) {
-        let group = &self.groups[group];
-        (group.base, (0..group.count()).map(|index| self.record(group, index)).collect())
+    /// A group as others read it.
+    pub(super) fn view(&self, group: usize) -> ShrubGroup<'_> {
+        ShrubGroup { groups: self, group: &self.groups[group] }
     }
 
     #[inline(always)]
@@ -299,9 +320,9 @@ mod tests {
         assert_eq!((groups.len(), groups.shrubs()), (boxes.len(), shrubs.len()));
         let mut found = Vec::new();
         for (index, [min, max]) in boxes.iter().enumerate() {
-            let (base, records) = groups.records(index);
+            let (base, records) = (groups.view(index).base(), groups.view(index).records());
             assert!((1..=MOST).contains(&records.len()));
-            for (at, record) in records.iter().enumerate() {
+            for (at, record) in records.enumerate() {
                 let unpacked = record.unpacked(base);
                 assert_eq!(groups.shrub(index, at), unpacked);
                 let [low, high] = unpacked.bounds();

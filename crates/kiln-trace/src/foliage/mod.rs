@@ -23,6 +23,7 @@ mod through;
 mod view;
 
 pub(crate) use cross::{CrossBundle, FoliageMemory};
+pub use groups::ShrubGroup;
 pub use shrub::{FogBox, ShrubRecord};
 pub(crate) use through::Lost;
 pub use view::FoliageView;

@@ -1,13 +1,13 @@
 //! Foliage as the tracers of other backends read it.
 
-use super::{CrossingMesh, Foliage, Placed, ShrubRecord, What};
+use super::{CrossingMesh, Foliage, Placed, ShrubGroup, What};
 use crate::{BvhChild, MeshBvh, Place};
 use glam::Vec3;
 use kiln_core::FoliageMode;
 use std::sync::Arc;
 
 /// What a leaf of the tree does to rays.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub enum FoliageView<'a> {
     /// A tree: each of its faces takes its depth wherever it is crossed.
     Crossings {
@@ -28,12 +28,7 @@ pub enum FoliageView<'a> {
         place: &'a Place,
     },
     /// Up to 16 shrubs.
-    Shrubs {
-        /// Base of the records.
-        base: [i32; 3],
-        /// One for each shrub.
-        records: Vec<ShrubRecord>,
-    },
+    Shrubs(ShrubGroup<'a>),
 }
 
 impl Foliage {
@@ -52,8 +47,7 @@ impl Foliage {
     pub fn leaf(&self, index: u32) -> FoliageView<'_> {
         let index = index as usize;
         if index < self.groups.len() {
-            let (base, records) = self.groups.records(index);
-            return FoliageView::Shrubs { base, records };
+            return FoliageView::Shrubs(self.groups.view(index));
         }
         let Placed { place, what, .. } = &self.objects[index - self.groups.len()];
         match what {

@@ -16,7 +16,7 @@ use crate::{
 };
 use glam::{DAffine3, DVec3};
 use kiln_bake::volume::{Volume, VolumeError};
-use kiln_core::{Bounds, Digest, FaceGroup, Instance, Level, Mesh, REACH_EPSILON, codec};
+use kiln_core::{Bounds, Digest, FaceGroup, FoliageMode, Instance, Level, Mesh, REACH_EPSILON, codec};
 use kiln_gpu::GpuError;
 use kiln_plan::Reach;
 use kiln_trace::{CrossingMesh, CutoutMesh, Foliage, FoliageObject, MeshBvh, Scene, SceneObject, Tracer};
@@ -247,20 +247,27 @@ impl LoadedLevel {
         Scene::build(bvhs, &objects).with_cutouts(cutouts, &objects).with_foliage(self.build_foliage())
     }
 
-    /// What rays go through: trees as their faces, shrubs as fog.
     fn build_foliage(&self) -> Foliage {
-        let mut trees: HashMap<*const Mesh, Option<Arc<CrossingMesh>>> = HashMap::new();
-        let mut objects = Vec::new();
         let in_scene = |(instance, traced): &(&Instance, &bool)| **traced && !instance.is_lod();
-        for (instance, _) in self.level.instances.iter().zip(&self.is_traced).filter(in_scene) {
-            let mesh = &self.meshes[instance.mesh as usize];
-            let tree = trees.entry(Arc::as_ptr(mesh)).or_insert_with(|| CrossingMesh::build(mesh).map(Arc::new));
-            let world_from_object = instance.world_from_object;
-            objects.extend(tree.iter().cloned().map(|mesh| FoliageObject::Crossings { mesh, world_from_object }));
-            objects.extend(instance.fog.map(|fog| FoliageObject::Fog { fog, world_from_object }));
-        }
-        Foliage::build(&objects, self.level.sampling.foliage)
+        let placed = self.level.instances.iter().zip(&self.is_traced).filter(in_scene);
+        foliage_of(
+            placed.map(|(instance, _)| (instance, &self.meshes[instance.mesh as usize])),
+            self.level.sampling.foliage,
+        )
     }
+}
+
+/// What rays go through of some instances, each with its mesh: trees as their faces, shrubs as fog.
+pub fn foliage_of<'a>(placed: impl Iterator<Item = (&'a Instance, &'a Arc<Mesh>)>, mode: FoliageMode) -> Foliage {
+    let mut trees: HashMap<*const Mesh, Option<Arc<CrossingMesh>>> = HashMap::new();
+    let mut objects = Vec::new();
+    for (instance, mesh) in placed {
+        let tree = trees.entry(Arc::as_ptr(mesh)).or_insert_with(|| CrossingMesh::build(mesh).map(Arc::new));
+        let world_from_object = instance.world_from_object;
+        objects.extend(tree.iter().cloned().map(|mesh| FoliageObject::Crossings { mesh, world_from_object }));
+        objects.extend(instance.fog.map(|fog| FoliageObject::Fog { fog, world_from_object }));
+    }
+    Foliage::build(&objects, mode)
 }
 
 fn gpu_error(error: &GpuError) -> TaskError {

@@ -25,7 +25,7 @@ mod volume;
 pub use backend::Backend;
 pub use backends::Backends;
 pub use bvhs::BvhCounts;
-pub use levels::{LoadedLevel, SceneTracer, ground_plane};
+pub use levels::{LoadedLevel, SceneTracer, foliage_of, ground_plane};
 
 use crate::{Artefacts, CancelFlag, Executor, Lanes, TaskError, TaskOutput};
 use bvhs::BvhKeeper;
